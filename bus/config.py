@@ -1,0 +1,28 @@
+"""Configuration of buses and links."""
+
+from __future__ import annotations
+
+from robots.quantities import BitRate, Config, Probability, Seconds
+
+
+class Impairment(Config):
+    """What a link does to what it carries. The same four faults for a CAN bus and for a Zenoh link."""
+
+    delay: Seconds = 0.0  # added to every delivery
+    jitter: Seconds = 0.0  # added on top, uniform in [0, jitter]
+    loss: Probability = 0.0  # share of deliveries that vanish
+    bit_error_rate: Probability = 0.0  # per bit; CAN retransmits a damaged frame, a link discards a damaged sample
+
+
+class BusConfig(Impairment):
+    """A CAN FD bus: its two bit rates and its impairments."""
+
+    arbitration_rate: BitRate = 1e6
+    data_rate: BitRate = 5e6
+
+
+class LinkConfig(Config):
+    """The Zenoh link between gateway and central controller, one set of impairments per direction."""
+
+    state: Impairment = Impairment()  # joints and IMU to controller
+    command: Impairment = Impairment()  # controller to joints

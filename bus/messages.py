@@ -1,0 +1,194 @@
+"""Every message on the joint buses: identifiers (CiA 301), layouts (little-endian), and their codecs.
+
+This module is the one definition; the DBC file is generated from it (``bus.dbc``).
+All physical values are fixed-point integers with the scales below.
+"""
+
+from __future__ import annotations
+
+import struct
+from typing import NamedTuple
+
+# --- identifiers (CiA 301 pre-defined connection set) -------------------------------------------------------
+EMERGENCY = 0x080  # + node id
+STATE = 0x180  # TPDO1 + node id
+COMMAND = 0x200  # RPDO1, one broadcast for all drives of the bus
+HEARTBEAT = 0x700  # + node id
+
+# --- scales -------------------------------------------------------------------------------------------------
+RADIAN = 1e-6  # rad per count
+RADIAN_PER_SECOND = 1e-5  # rad/s per count
+NEWTON_METRE = 1e-4  # N m per count
+TORQUE_LIMIT = 0.02  # N m per count, unsigned 16 bit
+AMPERE = 0.01  # A per count
+SLOTS = 3  # drives that one command frame can address
+
+
+class Mode:
+    """Mode of operation of a drive (CiA 402 numbers; manufacturer-specific ones are negative)."""
+
+    NONE = 0
+    TORQUE = 10  # cyclic synchronous torque
+    POSITION = 8  # cyclic synchronous position
+    DAMPING = -1  # brake by motor velocity
+
+
+class GainSet:
+    """Torque gains of a drive, switched by command (Kim 2018 §5.1.1)."""
+
+    STANCE = 0
+    SWING = 1
+
+
+class Controlword:
+    """CiA 402 controlword (0x6040) values."""
+
+    DISABLE_VOLTAGE = 0x0000
+    SHUTDOWN = 0x0006
+    SWITCH_ON = 0x0007
+    ENABLE_OPERATION = 0x000F
+    QUICK_STOP = 0x0002
+    FAULT_RESET = 0x0080
+
+
+class Statusword:
+    """CiA 402 statusword (0x6041): state under MASK."""
+
+    MASK = 0x006F
+    NOT_READY = 0x0000
+    SWITCH_ON_DISABLED = 0x0040
+    READY_TO_SWITCH_ON = 0x0021
+    SWITCHED_ON = 0x0023
+    OPERATION_ENABLED = 0x0027
+    QUICK_STOP_ACTIVE = 0x0007
+    FAULT_REACTION_ACTIVE = 0x000F
+    FAULT = 0x0008
+    FOOT_CONTACT = 0x4000  # manufacturer-specific bit 14: the foot switch is closed
+    LIMITED = 0x0800  # bit 11: internal limit active (current, torque, rate or position)
+
+
+class State(NamedTuple):
+    """A drive's state, sent at every report (TPDO1, 24 bytes). SI units."""
+
+    counter: int  # sample number, modulo 2**16
+    statusword: int
+    position: float  # rad, joint side
+    velocity: float  # rad/s, joint side
+    torque: float  # N m, sensed in the spring
+    current: float  # A
+    motor_velocity: float  # rad/s, motor as seen from the joint
+    command_counter: int  # counter of the command in force, modulo 2**16
+    error: int  # CiA 402 error code's low byte; 0: none
+    temperature: int  # °C
+
+
+class Setpoint(NamedTuple):
+    """One drive's slot in the command frame. SI units."""
+
+    controlword: int = Controlword.DISABLE_VOLTAGE
+    mode: int = Mode.NONE
+    gain_set: int = GainSet.STANCE
+    torque: float = 0.0  # N m
+    position: float = 0.0  # rad
+    velocity: float = 0.0  # rad/s
+    torque_limit: float = 500.0  # N m
+    state_counter: int = 0  # sample that this set-point was computed from
+
+
+_STATE = struct.Struct("<HHiiihhHBB")
+_SLOT = "HbBiiiHH"
+_COMMAND = struct.Struct("<HH" + _SLOT * SLOTS)
+STATE_LENGTH = _STATE.size
+COMMAND_LENGTH = _COMMAND.size
+assert STATE_LENGTH == 24 and COMMAND_LENGTH == 64
+
+_I32 = 2**31 - 1
+_I16 = 2**15 - 1
+_U16 = 2**16 - 1
+
+
+class MalformedMessageError(ValueError):
+    """A payload that is not of its message's length."""
+
+
+def _fixed(value: float, scale: float, limit: int) -> int:
+    """``value`` in counts, saturated: a drive that reads a wrapped number would do the opposite of what was meant."""
+    count = round(value / scale)
+    return limit if count > limit else -limit if count < -limit else count
+
+
+def encode_state(s: State) -> bytes:
+    """The 24 bytes of a TPDO1. Values beyond the range of their field saturate."""
+    return _STATE.pack(
+        s.counter & _U16, s.statusword & _U16,
+        _fixed(s.position, RADIAN, _I32), _fixed(s.velocity, RADIAN_PER_SECOND, _I32),
+        _fixed(s.torque, NEWTON_METRE, _I32),
+        _fixed(s.current, AMPERE, _I16), _fixed(s.motor_velocity, 1e-3, _I16),
+        s.command_counter & _U16, s.error & 0xFF, min(max(round(s.temperature), 0), 255),
+    )  # fmt: skip
+
+
+def decode_state(data: bytes) -> State:
+    """Read a TPDO1. Raises MalformedMessageError on a wrong length."""
+    if len(data) != STATE_LENGTH:
+        raise MalformedMessageError(f"drive state has {len(data)} bytes, not {STATE_LENGTH}")
+    c, sw, q, dq, tau, i, dm, cc, e, temperature = _STATE.unpack(data)
+    return State(
+        c, sw, q * RADIAN, dq * RADIAN_PER_SECOND, tau * NEWTON_METRE, i * AMPERE, dm * 1e-3, cc, e, temperature
+    )
+
+
+def encode_command(counter: int, setpoints: tuple[Setpoint, ...] | list[Setpoint]) -> bytes:
+    """The 64 bytes of a bus's command: one slot per drive in the bus's order, unused slots disabled."""
+    if len(setpoints) > SLOTS:
+        raise MalformedMessageError(f"{len(setpoints)} set-points do not fit into the {SLOTS} slots of a command frame")
+    fields: list[int] = [counter & _U16, 0]
+    for s in setpoints:
+        fields += (
+            s.controlword, s.mode, s.gain_set,
+            _fixed(s.torque, NEWTON_METRE, _I32), _fixed(s.position, RADIAN, _I32),
+            _fixed(s.velocity, RADIAN_PER_SECOND, _I32),
+            min(max(round(s.torque_limit / TORQUE_LIMIT), 0), _U16), s.state_counter & _U16,
+        )  # fmt: skip
+    fields += (0,) * (8 * (SLOTS - len(setpoints)))
+    return _COMMAND.pack(*fields)
+
+
+def command_counter(data: bytes) -> int:
+    """Counter of a command frame, without decoding the slots. Raises MalformedMessageError on a wrong length."""
+    if len(data) != COMMAND_LENGTH:
+        raise MalformedMessageError(f"command has {len(data)} bytes, not {COMMAND_LENGTH}")
+    return data[0] | data[1] << 8
+
+
+_ONE_SLOT = struct.Struct("<" + _SLOT)
+
+
+def decode_setpoint(data: bytes, slot: int) -> Setpoint:
+    """One drive's slot of a command frame. Raises MalformedMessageError on a wrong length."""
+    if len(data) != COMMAND_LENGTH:
+        raise MalformedMessageError(f"command has {len(data)} bytes, not {COMMAND_LENGTH}")
+    cw, mode, gains, tau, q, dq, limit, counter = _ONE_SLOT.unpack_from(data, 4 + _ONE_SLOT.size * slot)
+    return Setpoint(
+        cw, mode, gains, tau * NEWTON_METRE, q * RADIAN, dq * RADIAN_PER_SECOND, limit * TORQUE_LIMIT, counter
+    )
+
+
+def newer(counter: int, than: int) -> bool:
+    """Whether 16-bit ``counter`` is ahead of ``than`` (serial number arithmetic, RFC 1982)."""
+    return 0 < ((counter - than) & _U16) < 0x8000
+
+
+_EMERGENCY = struct.Struct("<HB5s")
+
+
+def encode_emergency(error_code: int, register: int, detail: bytes = b"") -> bytes:
+    """An EMCY payload (CiA 301): error code, error register, five bytes of the manufacturer's own."""
+    return _EMERGENCY.pack(error_code, register, detail[:5])
+
+
+def decode_emergency(data: bytes) -> tuple[int, int, bytes]:
+    """Error code, register and detail of an EMCY payload. Raises MalformedMessageError on a wrong length."""
+    if len(data) != 8:
+        raise MalformedMessageError(f"emergency has {len(data)} bytes, not 8")
+    return _EMERGENCY.unpack(data)

@@ -1,0 +1,1 @@
+"""The central controller: robot model, whole-body operational space control, tasks, behaviours, estimators."""

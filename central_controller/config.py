@@ -1,0 +1,58 @@
+"""Configuration of the central controller."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from robots.quantities import Config, Gain, Hertz, Metres, Newtons, Seconds
+
+
+class TaskGains(Config):
+    """PID of one task coordinate, in accelerations: kp [1/s²], kd [1/s], ki [1/s³]."""
+
+    kp: Gain
+    kd: Gain
+    ki: Gain = 0.0
+
+
+class TaskSetConfig(Config):
+    """Gains of the double-support task set [CoM_x, CoM_z, pitch, roll] (Kim 2018 §5.1.2)."""
+
+    com_x: TaskGains = TaskGains(kp=150.0, kd=20.0, ki=30.0)
+    com_z: TaskGains = TaskGains(kp=250.0, kd=25.0, ki=30.0)
+    pitch: TaskGains = TaskGains(kp=250.0, kd=25.0, ki=30.0)
+    roll: TaskGains = TaskGains(kp=150.0, kd=20.0, ki=10.0)
+
+
+class InternalForceConfig(Config):
+    """Internal force between the feet, W_int F_r of Kim 2018 (5.4)–(5.7): positive pushes the feet apart."""
+
+    reference: Newtons = 0.0
+    feedback: bool = True  # (5.2); false: feed-forward only (5.1)
+    gain: Gain = 3.0  # K_F of (5.2)
+
+
+class PathConfig(Config):
+    """Reference of the centre of mass about where it starts."""
+
+    kind: Literal["hold", "ellipse"] = "hold"
+    semi_x: Metres = 0.0
+    semi_z: Metres = 0.0
+    period: Seconds = 4.0
+    start: Seconds = 1.5  # from the start of the run
+
+
+class ControllerConfig(Config):
+    """The central controller: timing, model, tasks."""
+
+    rate: Hertz = 1500.0
+    phase: Seconds = 270e-6  # of its tick behind the joints' sample: all drive states have arrived by then
+    compute_time: Seconds = 200e-6  # from its tick to its commands (Kim 2018 §7.1.1: 0.2 ms for WBOSC)
+    variant: str | None = None  # masses of the controller's model, if not the robot's description
+    velocity_cutoff: Hertz = 60.0  # of joint velocities
+    orientation_time_constant: Seconds = 2.0  # of the accelerometer's correction of the integrated gyro
+    enable_at: Seconds = 0.05  # when the drives are switched on
+    weight_ramp: Seconds = 0.2  # torques grow from nothing over this time
+    tasks: TaskSetConfig = TaskSetConfig()
+    internal_force: InternalForceConfig = InternalForceConfig()
+    path: PathConfig = PathConfig()

@@ -1,0 +1,1 @@
+"""Command line, scenarios, backends and clocks, recorder, reports."""

@@ -1,0 +1,1 @@
+"""What runs on a joint's DSP: sensing, control law, drive state machine, protection."""

@@ -1,0 +1,31 @@
+"""Configuration of a joint's firmware."""
+
+from __future__ import annotations
+
+from robots.quantities import Config, Gain, Hertz, NewtonMetres, Seconds, TorquePerRate, TorqueRate
+
+
+class TorqueGains(Config):
+    """Gains of the torque loop: motor torque per torque error, per its integral, and per motor velocity."""
+
+    kp: Gain  # N m/(N m)
+    ki: Gain = 0.0  # N m/(N m s)
+    kd: TorquePerRate = 0.0  # N m s/rad at the joint
+
+
+class FirmwareConfig(Config):
+    """One set for all drives of a robot; what differs by joint (limits, scales) is in the robot's description."""
+
+    rate: Hertz = 3000.0  # ISR rate
+    report_rate: Hertz = 1500.0  # drive states per second
+    boot_time: Seconds = 0.02
+    heartbeat_period: Seconds = 0.1
+    watchdog: Seconds = 0.005  # longest silence of the controller before a quick stop
+    quick_stop_time: Seconds = 0.5  # damped for this long, then fault
+    quick_stop_damping: TorquePerRate = 30.0
+    velocity_cutoff: Hertz = 200.0  # first-order filter of differenced encoders
+    stance: TorqueGains = TorqueGains(kp=1.0, ki=0.0, kd="5 N m s/rad")  # type: ignore[arg-type]
+    swing: TorqueGains = TorqueGains(kp=2.0, ki=10.0, kd="5 N m s/rad")  # type: ignore[arg-type]
+    torque_limit: NewtonMetres = 150.0
+    torque_rate: TorqueRate = 20000.0
+    soft_stop_stiffness: Gain = 200.0  # N m/rad beyond a joint limit

@@ -1,0 +1,1 @@
+"""The physical world: robots, actuators, terrain, sensors, in MuJoCo."""
