@@ -5,6 +5,12 @@ from __future__ import annotations
 from typing import NamedTuple
 
 CAN_FD_LENGTHS = (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64)
+BASE_ID_LIMIT = 1 << 11
+EXTENDED_ID_LIMIT = 1 << 29
+
+
+class InvalidFrameError(ValueError):
+    """A frame that no CAN controller could send: identifier, length or bit-rate switch out of range."""
 
 
 class Frame(NamedTuple):
@@ -15,3 +21,26 @@ class Frame(NamedTuple):
     fd: bool = True
     brs: bool = True
     extended: bool = False
+
+
+def is_valid(identifier: int, length: int, fd: bool, brs: bool, extended: bool) -> bool:
+    """Whether a frame of these properties exists: 11 or 29 bit identifier, a length that a DLC can express,
+    and no bit-rate switch in a classical frame."""
+    if not 0 <= identifier < (EXTENDED_ID_LIMIT if extended else BASE_ID_LIMIT):
+        return False
+    return length in CAN_FD_LENGTHS if fd else length <= 8 and not brs
+
+
+def checked(frame: Frame) -> Frame:
+    """``frame`` itself. Raises InvalidFrameError with the reason when no controller could send it."""
+    limit = EXTENDED_ID_LIMIT if frame.extended else BASE_ID_LIMIT
+    if not 0 <= frame.id < limit:
+        bits = 29 if frame.extended else 11
+        raise InvalidFrameError(f"identifier {frame.id:#x} does not fit into {bits} bits")
+    if frame.fd and len(frame.data) not in CAN_FD_LENGTHS:
+        raise InvalidFrameError(f"a CAN FD frame cannot carry {len(frame.data)} bytes; {CAN_FD_LENGTHS} can be had")
+    if not frame.fd and len(frame.data) > 8:
+        raise InvalidFrameError(f"a classical CAN frame carries at most 8 bytes, not {len(frame.data)}")
+    if frame.brs and not frame.fd:
+        raise InvalidFrameError("a classical CAN frame has no bit-rate switch")
+    return frame

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from robots.quantities import Config, Gain, Hertz, NewtonMetres, Seconds, TorquePerRate, TorqueRate
+from robots.quantities import Config, Gain, Hertz, NewtonMetres, Seconds, TorquePerRadian, TorquePerRate, TorqueRate
 
 
 class TorqueGains(Config):
@@ -28,4 +28,6 @@ class FirmwareConfig(Config):
     swing: TorqueGains = TorqueGains(kp=2.0, ki=10.0, kd="5 N m s/rad")  # type: ignore[arg-type]
     torque_limit: NewtonMetres = 150.0
     torque_rate: TorqueRate = 20000.0
+    position_stiffness: TorquePerRadian = 300.0  # of cyclic synchronous position, around the torque loop
+    position_damping: TorquePerRate = 10.0
     soft_stop_stiffness: Gain = 200.0  # N m/rad beyond a joint limit

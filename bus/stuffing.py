@@ -1,0 +1,79 @@
+"""Counts the stuff bits of CAN: after five equal bits the sender inserts one of the other value (ISO 11898-1).
+
+A stuff bit is counted when the bit after it is sent. So the count of a CAN FD frame's dynamically stuffed part is
+right as it stands (a fixed stuff bit follows it in any case), and a classical frame, whose CRC may end in a stuff
+bit, adds ``pending(state)``.
+
+A *state* is ``8 * (5 * last bit + run length - 1)`` plus the number of stuff bits that the last step inserted.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+COUNT = 7  # mask of the count in a state
+START = 0  # after the dominant start-of-frame bit
+
+
+def _step(position: int, bit: int) -> tuple[int, int]:
+    """Next (last bit, run) position in 0 … 9 and stuff bits inserted, for one more bit."""
+    last, run = position // 5, position % 5 + 1
+    stuffed = run == 5
+    if stuffed:
+        last, run = 1 - last, 1
+    run = run + 1 if bit == last else 1
+    return 5 * bit + run - 1, int(stuffed)
+
+
+def _tables() -> tuple[np.ndarray, np.ndarray]:
+    """States after one byte (10 × 256) and after two (10 × 65536, indexed by the pair as a native 16-bit word)."""
+    position = np.arange(10)[:, None]  # after no bit at all
+    count = np.zeros((10, 1), dtype=np.int64)
+    step = np.array([[_step(p, bit) for bit in (0, 1)] for p in range(10)])
+    for _ in range(8):  # each pass appends one bit: the number of words doubles
+        position, count = (
+            step[position][..., 0].reshape(10, -1),
+            (count[..., None] + step[position][..., 1]).reshape(10, -1),
+        )
+    byte = 8 * position + count
+    first, second = byte[:, :, None], byte[byte // 8]
+    pair = (second + (first & COUNT)).reshape(10, -1)
+    words = np.stack(np.divmod(np.arange(65536), 256), axis=1).astype(np.uint8).view(np.uint16).ravel()
+    pair_by_word = np.empty_like(pair)
+    pair_by_word[:, words] = pair
+    return byte.astype(np.uint8), pair_by_word.astype(np.uint8)
+
+
+_byte, _pair = _tables()
+_BYTES = [_byte[state >> 3].tobytes() for state in range(80)]
+_per_position = [row.tobytes() for row in _pair]
+_PAIRS = [_per_position[state >> 3] for state in range(80)]
+
+
+def after_bits(state: int, value: int, width: int) -> tuple[int, int]:
+    """State and number of stuff bits after the ``width`` bits of ``value``, most significant first."""
+    position, count = state >> 3, 0
+    for shift in range(width - 1, -1, -1):
+        position, stuffed = _step(position, value >> shift & 1)
+        count += stuffed
+    return position << 3, count
+
+
+def after_bytes(state: int, data: bytes) -> tuple[int, int]:
+    """State and number of stuff bits after the bytes of ``data``."""
+    count = 0
+    if len(data) & 1:
+        for word in memoryview(data)[:-1].cast("H"):
+            state = _PAIRS[state][word]
+            count += state & 7
+        state = _BYTES[state][data[-1]]
+        return state, count + (state & 7)
+    for word in memoryview(data).cast("H"):
+        state = _PAIRS[state][word]
+        count += state & 7
+    return state, count
+
+
+def pending(state: int) -> int:
+    """1 if the bits so far end in five equal ones, so that a stuff bit follows; else 0."""
+    return int((state >> 3) % 5 == 4)

@@ -1,0 +1,1 @@
+"""Where nodes run: all in one process (inline), or each in its own (processes)."""

@@ -1,0 +1,253 @@
+"""The processes backend: every joint and the controller in an operating-system process of its own.
+
+Pins and CAN frames travel in anonymous shared memory, which vanishes with its processes; the controller is reached
+only through Zenoh. The launcher hosts the world, the calendar, the wires and the gateway: a hop to another process
+costs more than either of the latter computes (docs/architecture.md has the measurement).
+"""
+
+from __future__ import annotations
+
+import mmap
+import os
+import socket
+import sys
+from collections.abc import Callable, Sequence
+from multiprocessing.connection import Connection
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import zenoh
+
+from bus.frames import Frame
+from bus.ports import ShmPort
+from bus.python_can import HilBus
+from bus.zenoh_link import MalformedBundleError, decode_bundle, encode_bundle, keys, session_config
+from hil.backends.inline import read_reply, serve
+from hil.backends.lifecycle import REPLY, Family, quiet_collector
+from hil.errors import EmulationError
+from hil.system import Item
+from robots import pins
+
+if TYPE_CHECKING:
+    from central_controller.controller import Controller
+    from joint_firmware.firmware import JointFirmware
+
+_TICK, _SERVE_PIPE = 0, 1
+_JOINT_BLOCK = 256  # bytes: time, order, pins
+
+
+class SharedPins:
+    """The shared memory of the joints: per joint its order, its pins and the two rings of its CAN port."""
+
+    def __init__(self, joints: int) -> None:
+        self._stride = _JOINT_BLOCK + ShmPort.SIZE
+        self._memory = mmap.mmap(-1, joints * self._stride)
+        view = memoryview(self._memory)
+        blocks = [view[j * self._stride : (j + 1) * self._stride] for j in range(joints)]
+        self.orders = [block[:16].cast("q") for block in blocks]  # time in ns, what to do
+        whole = np.frombuffer(self._memory, np.int32).reshape(joints, self._stride // 4)
+        self.inputs = whole[:, 4 : 4 + pins.N_INPUTS]
+        self.outputs = whole[:, 16 : 16 + pins.N_OUTPUTS]
+        self.ports = [block[_JOINT_BLOCK:] for block in blocks]
+
+
+class ProcessJoints:
+    """The joint nodes, each in its own process."""
+
+    def __init__(
+        self,
+        family: Family,
+        nodes: Sequence[JointFirmware],
+        names: Sequence[str],
+        channels: Sequence[str],
+        shared: SharedPins,
+    ) -> None:
+        self._family = family
+        self._orders = shared.orders
+        self._count = len(nodes)
+        self._go = [os.eventfd(0) for _ in nodes]
+        self._ports = [ShmPort(memory) for memory in shared.ports]  # the wire's side
+        self._pipes: list[Connection] = []
+        for j, (node, name) in enumerate(zip(nodes, names, strict=True)):
+            node.attach(shared.inputs[j], shared.outputs[j])
+            ours, theirs = _pipe()
+            self._pipes.append(ours)
+            port = ShmPort(shared.ports[j], firmware=True)
+            family.spawn(name, _joint_main, node, channels[j], port, shared.orders[j], self._go[j], family.done, theirs)
+
+    def start(self, now_ns: int, inboxes: list[list[Frame]]) -> None:
+        for order, port, go, inbox in zip(self._orders, self._ports, self._go, inboxes, strict=True):
+            for frame in inbox:
+                port.send_frame(frame)
+            order[0] = now_ns
+            os.eventfd_write(go, 1)
+
+    def finish(self) -> list[list[Frame]]:
+        self._family.wait_joints(self._count)
+        return [port.recv_frames() for port in self._ports]
+
+    def _ask(self, requests: Sequence[tuple[str, Any]]) -> list[Any]:
+        for order, go in zip(self._orders, self._go, strict=True):
+            order[1] = _SERVE_PIPE
+            os.eventfd_write(go, 1)
+        answers = []
+        for pipe, request in zip(self._pipes, requests, strict=True):
+            pipe.send(request)
+            answers.append(_receive(self._family, pipe))
+        self._family.wait_joints(self._count)
+        for order in self._orders:
+            order[1] = _TICK
+        return answers
+
+    def snapshot(self) -> list[Any]:
+        return self._ask([("snapshot", None)] * self._count)
+
+    def restore(self, states: list[Any]) -> None:
+        self._ask([("restore", state) for state in states])
+
+
+def _joint_main(
+    node: JointFirmware, channel: str, port: ShmPort, order: memoryview, go: int, done: int, pipe: Connection
+) -> None:
+    bus = HilBus(channel=channel, port=port)
+    quiet_collector()
+    wait, finished = os.eventfd_read, os.eventfd_write
+    receive, send, tick = bus.recv_frames, bus.send_frame, node.tick
+    while True:
+        wait(go)
+        if order[1] == _TICK:
+            for frame in tick(order[0], receive()):
+                send(frame)
+        else:
+            _serve_pipe(node, pipe)
+        finished(done, 1)
+
+
+class ProcessController:
+    """The controller in its own process, behind Zenoh: one sample with all that arrived, one sample as the answer.
+
+    Answers are awaited by their sequence number.
+    """
+
+    def __init__(self, family: Family, run: str, build: Callable[[], Controller], router: str | None) -> None:
+        self._family = family
+        self._run = run
+        self._sequence = 0
+        self._answer = b""
+        self.malformed = 0
+        self.endpoint = router or f"tcp/127.0.0.1:{_free_port()}"
+        self._router = router
+        self._pipe, theirs = _pipe()
+        family.spawn("controller", _controller_main, run, build, router, self.endpoint, theirs)
+
+    def open(self) -> zenoh.Session:
+        """Open the launcher's session (after all children were forked: a session has threads) and meet the
+        controller's. Returns the session."""
+        config = session_config(None, self._router) if self._router else session_config(self.endpoint, None)
+        try:
+            self.session = zenoh.open(config)
+        except zenoh.ZError as error:
+            raise EmulationError(f"Zenoh could not be opened at {self.endpoint}: {error}") from None
+        names = keys(self._run)
+        self._subscriber = self.session.declare_subscriber(names.command, self._receive)
+        self._publisher = self.session.declare_publisher(
+            names.state,
+            express=True,
+            congestion_control=zenoh.CongestionControl.BLOCK,
+            priority=zenoh.Priority.REAL_TIME,
+        )
+        self._pipe.send(self.endpoint)
+        _receive(self._family, self._pipe)  # its session stands, its controller is built
+        while not self._publisher.matching_status.matching:
+            self._family.check()
+        return self.session
+
+    def _receive(self, sample: zenoh.Sample) -> None:
+        """On a thread of Zenoh's."""
+        answer = sample.payload.to_bytes()
+        try:
+            if decode_bundle(answer).sequence != self._sequence:
+                self.malformed += 1
+                return
+        except ValueError:
+            self.malformed += 1
+            return
+        self._answer = answer
+        os.eventfd_write(self._family.done, REPLY)
+
+    def start(self, now_ns: int, items: list[tuple[int, int, int, bytes]]) -> None:
+        self._sequence = (self._sequence + 1) & 0xFFFFFFFF
+        self._publisher.put(encode_bundle(self._sequence, now_ns, items))
+
+    def finish(self) -> tuple[list[Item], np.ndarray]:
+        self._family.wait_reply()
+        commands, telemetry, _ = read_reply(self._answer)
+        return commands, telemetry
+
+    def _ask(self, request: tuple[str, Any]) -> Any:
+        self._publisher.put(b"")  # an empty sample: look at the pipe
+        self._pipe.send(request)
+        return _receive(self._family, self._pipe)
+
+    def snapshot(self) -> Any:
+        return self._ask(("snapshot", None))
+
+    def restore(self, state: Any) -> None:
+        self._ask(("restore", state))
+
+
+def _controller_main(
+    run: str, build: Callable[[], Controller], router: str | None, endpoint: str, pipe: Connection
+) -> None:
+    controller = build()
+    endpoint = pipe.recv()  # the launcher's session listens by now
+    session = zenoh.open(session_config(None, endpoint, router=router is not None))
+    names = keys(run)
+    inbox = session.declare_subscriber(names.state, zenoh.handlers.FifoChannel(64))
+    publisher = session.declare_publisher(
+        names.command,
+        express=True,
+        congestion_control=zenoh.CongestionControl.BLOCK,
+        priority=zenoh.Priority.REAL_TIME,
+    )
+    pipe.send("ready")
+    quiet_collector()
+    while True:
+        bundle = inbox.recv().payload.to_bytes()
+        if not bundle:
+            _serve_pipe(controller, pipe)
+            continue
+        try:
+            publisher.put(serve(controller, bundle))
+        except MalformedBundleError as error:  # not from the launcher, which awaits its own answer
+            sys.stderr.write(f"controller: ignored a malformed sample ({error})\n")
+
+
+def _serve_pipe(node: Any, pipe: Connection) -> None:
+    """Answer one request for a node's state, if there is one: the order to look may be anybody's."""
+    if not pipe.poll(1.0):
+        return
+    what, state = pipe.recv()
+    pipe.send(node.snapshot() if what == "snapshot" else node.restore(state))
+
+
+def _pipe() -> tuple[Connection, Connection]:
+    ours, theirs = socket.socketpair()
+    return Connection(ours.detach()), Connection(theirs.detach())
+
+
+def _receive(family: Family, pipe: Connection) -> Any:
+    """Receive from a child, noticing its death."""
+    while not pipe.poll(0.2):
+        family.check()
+    try:
+        return pipe.recv()
+    except EOFError:
+        family.check()
+        raise EmulationError("a process of the run closed its pipe") from None
+
+
+def _free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return probe.getsockname()[1]

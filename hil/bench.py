@@ -1,0 +1,154 @@
+"""``hil bench``: where the time goes, on this machine, now. Targets stand beside the measured numbers."""
+
+from __future__ import annotations
+
+import json
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections import defaultdict
+from typing import Any
+
+from hil.run import Request, assemble, run
+from hil.scenario import load
+
+SCENARIO = "split-terrain"
+TARGETS = {
+    "realtime_factor.processes": ("≥", 1.0),
+    "realtime_factor.inline": ("≥", 4.0),
+    "controller_tick_us": ("≤", 60.0),
+    "start_up_s": ("≤", 3.0),
+    "memory_gb": ("≤", 1.5),
+}
+
+
+class Timed:
+    """A proxy that adds up the time spent in the methods of what it stands for."""
+
+    def __init__(self, inner: Any, label: str, spent: dict[str, int]) -> None:
+        self._inner, self._label, self._spent = inner, label, spent
+
+    def __getattr__(self, name: str) -> Any:
+        value = getattr(self._inner, name)
+        if not callable(value):
+            return value
+        label = f"{self._label}.{name}"
+        spent, clock = self._spent, time.perf_counter_ns
+
+        def timed(*args: Any) -> Any:
+            began = clock()
+            result = value(*args)
+            spent[label] += clock() - began
+            return result
+
+        setattr(self, name, timed)  # next time without the look-up
+        return timed
+
+
+def shares(backend: str, duration: float) -> dict[str, float]:
+    """Share of the launcher's time by part, in one instrumented run (the proxies slow it by some per cent)."""
+    spent: dict[str, int] = defaultdict(int)
+
+    def wrap(label: str, node: Any) -> Any:
+        # wires have attributes that the calendar reads at every event: a proxy there would measure itself
+        return node if label == "bus" else Timed(node, label, spent)
+
+    with assemble(Request(load(SCENARIO), seed=1, backend=backend), wrap) as assembly:
+        system = assembly.system
+        for b, wire in enumerate(system.wires):
+            wire.advance = _timed(wire.advance, "bus", spent)
+            wire.offer = _timed(wire.offer, "bus", spent)
+            system.wires[b] = wire
+        began = time.perf_counter_ns()
+        system.run_until(round(duration * 1e9))
+        total = time.perf_counter_ns() - began
+    inline = backend == "inline"
+    labels = {
+        "physics.": "physics",
+        "bus": "bus",
+        "recorder.": "recorder",
+        "firmware.": "firmware" if inline else "waking and waiting for the joints",
+        "controller.start": "controller" if inline else "Zenoh: sending",
+        "controller.": "controller" if inline else "waiting for Zenoh and the controller",
+    }
+    result: dict[str, float] = defaultdict(float)
+    for label, nanoseconds in spent.items():
+        part = next(name for prefix, name in labels.items() if label.startswith(prefix))
+        result[part] += nanoseconds / total
+    result["calendar, gateway, links"] = 1.0 - sum(result.values())
+    return dict(result)
+
+
+def _timed(function: Any, label: str, spent: dict[str, int]) -> Any:
+    clock = time.perf_counter_ns
+
+    def timed(*args: Any) -> Any:
+        began = clock()
+        result = function(*args)
+        spent[label] += clock() - began
+        return result
+
+    return timed
+
+
+def controller_tick_us(ticks: int = 3000) -> float:
+    """Median time of the controller's tick with its model update, in a closed loop, µs."""
+    samples: list[int] = []
+
+    def wrap(label: str, node: Any) -> Any:
+        if label == "controller":
+            inner = node._controller
+            tick = inner.tick
+
+            def timed(now_ns: int) -> Any:
+                began = time.perf_counter_ns()
+                result = tick(now_ns)
+                samples.append(time.perf_counter_ns() - began)
+                return result
+
+            inner.tick = timed
+        return node
+
+    scenario = load(SCENARIO)
+    with assemble(Request(scenario, seed=1, backend="inline"), wrap) as assembly:
+        assembly.system.run_until(round(ticks / scenario.controller.rate * 1e9))
+    return statistics.median(samples[len(samples) // 2 :]) * 1e-3
+
+
+def start_up(repeats: int = 3) -> float:
+    """Median seconds from the command to the first tick, warm caches."""
+    times = []
+    for _ in range(repeats):
+        with tempfile.TemporaryDirectory() as directory:
+            command = [sys.executable, "-m", "hil", "run", SCENARIO, "--duration", "0.05s", "--json", "--out", directory]
+            result = subprocess.run(command, capture_output=True, text=True, check=False)
+            times.append(json.loads(result.stdout)["start_up_time"])
+    return statistics.median(times)
+
+
+def bench(duration: float, as_json: bool) -> int:
+    """Run all measurements and print them. Returns the exit status."""
+    scenario = load(SCENARIO).model_copy(update={"duration": duration})
+    results: dict[str, Any] = {}
+    for backend in ("processes", "inline"):
+        outcome = run(Request(scenario, seed=1, backend=backend, report=False))
+        results[f"realtime_factor.{backend}"] = outcome.record["realtime_factor"]
+        if backend == "processes":
+            results["memory_gb"] = outcome.record["memory_bytes"]["sum"] / 1e9
+    results["controller_tick_us"] = controller_tick_us()
+    results["start_up_s"] = start_up()
+    results["shares"] = {backend: shares(backend, min(duration, 3.0)) for backend in ("processes", "inline")}
+    if as_json:
+        print(json.dumps(results))
+        return 0
+    print(f"{SCENARIO}, {duration:g} s simulated, firmware 3 kHz, control 1.5 kHz")
+    for key, (sign, target) in TARGETS.items():
+        met = results[key] >= target if sign == "≥" else results[key] <= target
+        print(f"  {key:28} {results[key]:8.2f}   aim {sign} {target:g}: {'met' if met else 'missed'}")
+    for backend, parts in results["shares"].items():
+        print(f"  share of the launcher's time, {backend}:")
+        for part, share in sorted(parts.items(), key=lambda item: -item[1]):
+            print(f"    {part:38} {100 * share:5.1f} %")
+    return 0

@@ -1,0 +1,122 @@
+"""Reaching into a run from outside: attached tools on its buses, injections and live telemetry over Zenoh."""
+
+from __future__ import annotations
+
+import json
+import threading
+from typing import Any
+
+from bus.config import Impairment
+from bus.frames import Frame
+from bus.ports import PortServer, find_runs
+from bus.zenoh_link import keys, session_config
+from hil.errors import EmulationError, HilError, UserError
+from hil.injection import injectable
+from robots import description
+
+_ANSWER_TIMEOUT_S = 5.0
+
+
+class PortTap:
+    """Serves every bus of a run to tools of the same user (``can.Bus(interface="hil", channel="left_leg")``)."""
+
+    def __init__(self, run: str, buses: list[str], endpoint: str | None) -> None:
+        self._servers = [PortServer(name, run=run, endpoint=endpoint) for name in buses]
+        self.frames_in = 0
+
+    def broadcast(self, bus: int, time_ns: int, sender: int, frame: Frame) -> None:
+        server = self._servers[bus]
+        if server.clients:
+            server.broadcast(time_ns, sender, frame)
+
+    def poll(self) -> list[tuple[int, Frame]]:
+        """Frames that tools sent since the last call."""
+        received = [(bus, frame) for bus, server in enumerate(self._servers) for frame in server.poll()]
+        self.frames_in += len(received)
+        return received
+
+    def close(self) -> None:
+        for server in self._servers:
+            server.close()
+
+
+def serve_run(assembly: Any) -> None:
+    """Open a run to the outside: ports on its buses, and with a Zenoh session the injection query."""
+    system, session = assembly.system, assembly.session
+    buses = [wire.name for wire in system.wires]
+    endpoint = assembly.endpoint
+    assembly.tap = system.tap = PortTap(assembly.run_name, buses, endpoint)
+    if session is None:
+        return
+
+    def answer(query: Any) -> None:
+        """On a thread of Zenoh's: hand over to the calendar, which injects between two events."""
+        text = "" if query.payload is None else query.payload.to_bytes()[:1000].decode("utf-8", "replace")
+        done = threading.Event()
+        result: dict[str, Any] = {}
+
+        def request() -> None:
+            try:
+                order = json.loads(text)
+                key, value = order["key"], order["value"]
+                if key not in injectable(buses):
+                    raise UserError(f"unknown key {key!r}; `hil inject --list` lists them")
+                result["value"] = system.inject(key, value)
+                result["time"] = system.now_ns * 1e-9
+            except (ValueError, KeyError, TypeError):
+                result["error"] = 'expected {"key": …, "value": …}'
+            except HilError as error:
+                result["error"] = str(error)
+            done.set()
+
+        system.requests.append(request)
+        if not done.wait(_ANSWER_TIMEOUT_S):
+            result.setdefault("error", "the run does not take requests at the moment")
+        query.reply(query.key_expr, json.dumps(result).encode())
+
+    assembly.queryable = session.declare_queryable(keys(assembly.run_name).inject, answer)
+
+
+def inject(key: str, value: str, run: str | None = None) -> str:
+    """Change ``key`` of a run that is going on. Returns one sentence; raises UserError or EmulationError."""
+    import zenoh
+
+    runs = find_runs()
+    if run is not None:
+        runs = {name: hello for name, hello in runs.items() if name == run}
+    if not runs:
+        raise UserError("no such run is going on" if run else "no run is going on")
+    if len(runs) > 1:
+        raise UserError(f"several runs are going on, name one with --run: {', '.join(sorted(runs))}")
+    name, hello = next(iter(runs.items()))
+    if not hello.get("endpoint"):
+        raise UserError(f"{name} runs inline, without Zenoh: put the change into its scenario as [[inject]]")
+    try:
+        session = zenoh.open(session_config(None, hello["endpoint"]))
+    except zenoh.ZError as error:
+        raise EmulationError(f"{name} cannot be reached at {hello['endpoint']}: {error}") from None
+    try:
+        payload = json.dumps({"key": key, "value": value}).encode()
+        for reply in session.get(keys(name).inject, payload=payload, timeout=_ANSWER_TIMEOUT_S + 1):
+            if reply.ok is None:
+                break
+            result = json.loads(reply.ok.payload.to_bytes())
+            if "error" in result:
+                raise UserError(result["error"])
+            return f"{key} = {value} from {result['time']:.6f} s of {name} on"
+    finally:
+        session.close()
+    raise EmulationError(f"{name} did not answer")
+
+
+def keys_of_all_robots() -> list[tuple[str, str]]:
+    """Every injectable key with its meaning and range."""
+    meaning = {
+        "delay": "added to every delivery, e.g. 2ms; at least 0",
+        "jitter": "added on top, uniform in [0, value], e.g. 1ms; at least 0",
+        "loss": "share of deliveries that vanish, 0 to 1",
+        "bit_error_rate": "probability per bit, 0 to 1; CAN retransmits, a link discards",
+    }
+    assert set(meaning) == set(Impairment.model_fields)
+    buses = sorted({bus.name for name in description.available() for bus in description.load(name).buses})
+    return [(key, meaning[key.rpartition(".")[2]]) for key in injectable(buses)]

@@ -1,0 +1,286 @@
+"""One run from a scenario to a directory with its record: builds the nodes, drives the calendar, judges."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import platform
+import sys
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+from hil.backends.lifecycle import Family
+from hil.clock import VirtualClock, WallClock
+from hil.compiled import compile_function, compiler
+from hil.errors import EXIT_STABLE, EXIT_UNSTABLE, EmulationError, HilError, Interrupted
+from hil.scenario import Scenario
+from hil.streams import streams
+from robots import description
+
+_SLICE_NS = 10_000_000  # signals and progress are looked at this often, in simulated time
+
+
+@dataclass(frozen=True)
+class Request:
+    """What to run and how."""
+
+    scenario: Scenario
+    seed: int = 0
+    backend: str = "processes"  # or "inline"
+    clock: str = "virtual"  # or "wall"
+    out: Path | None = None  # None: nothing is written
+    video: bool = False
+    zenoh: str | None = None  # endpoint of a router to join
+    report: bool = True
+
+
+@dataclass
+class Outcome:
+    """What came out; ``record`` is what run.json holds."""
+
+    record: dict[str, Any]
+    exit_status: int
+    tables: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def stable(self) -> bool:
+        return self.exit_status == EXIT_STABLE
+
+
+@dataclass
+class Assembly:
+    """A system ready to run, with what its life depends on."""
+
+    system: Any
+    recorder: Any
+    family: Family
+    run_name: str
+    session: Any = None
+    endpoint: str | None = None
+    pids: dict[str, int] = field(default_factory=dict)
+    world: Any = None
+    tap: Any = None
+    queryable: Any = None
+
+
+Progress = Callable[[Any, float], None]  # system, wall seconds since the first tick
+
+
+@contextlib.contextmanager
+def assemble(request: Request, wrap: Callable[[str, Any], Any] = lambda _, node: node) -> Iterator[Assembly]:
+    """Build all nodes on the backend and connect them; on leaving, every process and socket of the run is gone.
+
+    ``wrap(name, node)`` may put a proxy around a node or host (the benchmark measures through it).
+    """
+    scenario = request.scenario
+    robot = description.load(scenario.robot)
+    random = streams(request.seed)
+    config = scenario.controller
+
+    def build_controller() -> Any:
+        from central_controller.controller import Controller
+
+        model = description.load(scenario.robot, config.variant)
+        return Controller(model, config, compile=compile_function)
+
+    with Family() as family:
+        if request.clock == "wall":
+            clock: VirtualClock | WallClock = WallClock(round(1e9 / scenario.firmware.rate))
+            clock.request_priority()  # before the children are forked: they inherit it
+        else:
+            clock = VirtualClock()
+
+        from joint_firmware.firmware import JointFirmware
+
+        nodes = [JointFirmware(robot, j, scenario.firmware, compile=compile_function) for j in range(len(robot.joints))]
+        run_name = request.out.name if request.out is not None else f"run-{os.getpid()}"
+        joints: Any
+        controller: Any
+        session = None
+        if request.backend == "processes":
+            from hil.backends.processes import ProcessController, ProcessJoints, SharedPins
+
+            shared = SharedPins(len(nodes))
+            channel = {name: bus.name for bus in robot.buses for name in bus.joints}
+            controller = ProcessController(family, run_name, build_controller, request.zenoh)
+            joints = ProcessJoints(
+                family, nodes, robot.joint_names, [channel[n] for n in robot.joint_names], shared
+            )
+        from plant.world import World
+
+        world = World(
+            robot, scenario.world, scenario.terrain, scenario.stance, scenario.sensors, scenario.push, random,
+            compile=compile_function,
+        )  # fmt: skip
+        if request.backend == "processes":
+            world.attach_pins(shared.inputs, shared.outputs)
+            session = controller.open()
+        else:
+            from hil.backends.inline import InlineController, InlineJoints
+
+            joints = InlineJoints(nodes, world.pins_in, world.pins_out)
+            controller = InlineController(build_controller())
+
+        from central_controller.controller import telemetry_fields
+        from hil.recorder import Recorder
+        from hil.system import System
+        from hil.verdict import Monitor
+
+        buses = [bus.name for bus in robot.buses]
+        channels = {
+            "world": list(world.truth_fields),
+            "controller": telemetry_fields(robot),
+            "drives": [f"{what}.{j}" for what in ("statusword", "error", "round_trip") for j in robot.joint_names],
+            "bus": [f"{what}.{b}" for what in ("load", "sent", "lost", "errors") for b in buses],
+        }
+        recorder = Recorder(request.out, channels, buses)
+        assembly = None
+        try:
+            system = System(
+                scenario,
+                robot,
+                wrap("physics", world),
+                wrap("firmware", joints),
+                wrap("controller", controller),
+                wrap("recorder", recorder),
+                random,
+                clock,
+                Monitor(scenario.limits, channels),
+            )
+            system.wires = [wrap("bus", wire) for wire in system.wires]
+            pids = {"launcher": os.getpid(), **family.pids}
+            endpoint = controller.endpoint if session is not None else None
+            assembly = Assembly(system, recorder, family, run_name, session, endpoint, pids, world)
+            yield assembly
+        finally:
+            if assembly is not None and assembly.tap is not None:
+                assembly.tap.close()
+            recorder.close()
+            if session is not None:
+                session.close()
+
+
+def run(request: Request, progress: Progress | None = None, prepare: Callable[[Assembly], None] | None = None) -> Outcome:
+    """Run to the end, to a fall, or to a signal; write the record. Raises HilError when it could not start."""
+    scenario = request.scenario
+    end_ns = round(scenario.duration * 1e9)
+    failure: HilError | None = None
+    if request.out is not None:
+        request.out.mkdir(parents=True, exist_ok=True)
+    with assemble(request) as assembly:
+        system = assembly.system
+        if prepare is not None:
+            prepare(assembly)
+        start_up = process_age()
+        system.clock.start()
+        first = time.monotonic()
+        try:
+            while system.now_ns < end_ns and system.stop_reason is None:
+                system.run_until(min(system.now_ns + _SLICE_NS, end_ns))
+                assembly.family.check()
+                if progress is not None:
+                    progress(system, time.monotonic() - first)
+        except (Interrupted, EmulationError) as error:
+            failure = error
+        elapsed = time.monotonic() - first
+        memory = {name: _resident(pid) for name, pid in assembly.pids.items()}
+        assembly.family.end()
+        recorder = assembly.recorder
+    return _conclude(request, system, recorder, failure, elapsed, start_up, memory, assembly.world)
+
+
+def _conclude(
+    request: Request, system: Any, recorder: Any, failure: HilError | None, elapsed: float, start_up: float,
+    memory: dict[str, int], world: Any,
+) -> Outcome:  # fmt: skip
+    from hil.verdict import judge
+
+    scenario = request.scenario
+    tables = {name: recorder.table(name) for name in ("world", "controller", "drives", "bus")}
+    simulated = system.now_ns * 1e-9
+    verdict = judge(tables, scenario, stopped=system.stop_reason)
+    if failure is not None:
+        name, reason, status = "failed", str(failure), failure.exit_status
+    elif verdict.stable:
+        name, reason, status = "stable", verdict.reason, EXIT_STABLE
+    else:
+        name, reason, status = "unstable", verdict.reason, EXIT_UNSTABLE
+    record: dict[str, Any] = {
+        "scenario": scenario.name,
+        "seed": request.seed,
+        "backend": request.backend,
+        "clock": request.clock,
+        "verdict": name,
+        "reason": reason,
+        "metrics": verdict.metrics,
+        "log_digest": recorder.digest(),
+        "simulated_time": simulated,
+        "realtime_factor": simulated / elapsed if elapsed > 0 else 0.0,
+        "start_up_time": start_up,
+        "memory_bytes": {**memory, "sum": sum(memory.values())},
+        "wall_clock": system.clock.report(),
+        "injected": system.injected,
+        "out": None if request.out is None else str(request.out),
+        "versions": versions(),
+        "configuration": scenario.model_dump(mode="json"),
+    }
+    if request.out is not None:
+        _write_directory(request, record, tables, world)
+    return Outcome(record, status, tables)
+
+
+def _write_directory(request: Request, record: dict[str, Any], tables: dict[str, Any], world: Any) -> None:
+    out = request.out
+    assert out is not None
+    from bus.dbc import dbc
+
+    robot = description.load(request.scenario.robot)
+    for bus in robot.buses:
+        (out / f"{bus.name}.dbc").write_text(dbc(robot, bus), encoding="utf-8")
+    partial = out / "run.json.part"
+    partial.write_text(json.dumps(record, indent=2), encoding="utf-8")
+    partial.replace(out / "run.json")  # never half a record
+    if request.video and len(tables["world"].times):
+        from hil.video import write_video
+
+        write_video(out, world, tables["world"])
+    if request.report and len(tables["world"].times) > 10:
+        from hil.report import write_report
+
+        write_report(out, record, tables)
+
+
+def versions() -> dict[str, str]:
+    """Versions of everything that can change a number."""
+    names = ("hume-hil", "casadi", "eclipse-zenoh", "mujoco", "numpy", "pin", "python-can", "scipy")
+    found = {}
+    for name in names:
+        with contextlib.suppress(metadata.PackageNotFoundError):
+            found[name] = metadata.version(name)
+    return {
+        "python": sys.version.split()[0],
+        "platform": platform.platform(),
+        "compiler": compiler() or "none: CasADi's virtual machine",
+        **found,
+    }
+
+
+def process_age() -> float:
+    """Seconds since this process was created (resolution of /proc: 10 ms)."""
+    with open("/proc/self/stat", encoding="ascii") as file:
+        started = int(file.read().rpartition(")")[2].split()[19]) / os.sysconf("SC_CLK_TCK")
+    return time.clock_gettime(time.CLOCK_BOOTTIME) - started
+
+
+def _resident(pid: int) -> int:
+    """Resident memory of a process in bytes, 0 when it is gone."""
+    try:
+        with open(f"/proc/{pid}/statm", encoding="ascii") as file:
+            return int(file.read().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+    except OSError:
+        return 0

@@ -1,0 +1,368 @@
+"""The calendar: one ordering of all events of a run, for any backend and either clock.
+
+Events are ordered by time in integer nanoseconds and, at the same time, by the fixed order in ``System._step``:
+wires, links, world and joints, controller's tick, controller's answer. Nothing is ordered by arrival, so a run is
+the same on every backend and on a loaded machine.
+
+At the joints' tick k the order is: read the sensors, apply the outputs of tick k − 1 (a DSP's output takes effect at
+its next PWM period), let the joints compute, and meanwhile step the physics to tick k + 1.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+
+from bus import messages
+from bus.frames import Frame
+from bus.gateway import Gateway
+from bus.link import Link
+from bus.wire import Wire
+from bus.zenoh_link import IMU_SOURCE
+from hil.clock import VirtualClock, WallClock, tick_ns
+from hil.errors import UserError
+from hil.recorder import Recorder
+from hil.scenario import Scenario, parse_value
+from hil.streams import StreamFactory
+from robots.description import Robot
+
+if TYPE_CHECKING:  # a backend forks its children before the physics is imported
+    from hil.verdict import Monitor
+    from plant.world import World
+
+GATEWAY_PORT = 0  # joints follow, then the port of attached tools
+_FLUSH_NS = 100_000_000
+_MONITOR_NS = 10_000_000
+_NEVER = 1 << 62
+
+Item = tuple[int, int, bytes]  # source or bus, CAN identifier, payload
+
+
+class JointHost(Protocol):
+    """Runs all joint nodes of a tick: ``start`` may return before they are done, ``finish`` waits."""
+
+    def start(self, now_ns: int, inboxes: list[list[Frame]]) -> None: ...
+    def finish(self) -> list[list[Frame]]: ...
+    def snapshot(self) -> list[Any]: ...
+    def restore(self, states: list[Any]) -> None: ...
+
+
+class ControllerHost(Protocol):
+    """Runs the controller node: ``start`` hands over what arrived, ``finish`` returns commands and telemetry."""
+
+    def start(self, now_ns: int, items: list[tuple[int, int, int, bytes]]) -> None: ...
+    def finish(self) -> tuple[list[Item], np.ndarray]: ...
+    def snapshot(self) -> Any: ...
+    def restore(self, state: Any) -> None: ...
+
+
+class Tap(Protocol):
+    """Tools attached to the buses from outside: they see every frame and may send."""
+
+    def broadcast(self, bus: int, time_ns: int, sender: int, frame: Frame) -> None: ...
+    def poll(self) -> list[tuple[int, Frame]]: ...
+
+
+class System:
+    """All nodes of a run and the calendar that drives them."""
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        robot: Robot,
+        world: World,
+        joints: JointHost,
+        controller: ControllerHost,
+        recorder: Recorder,
+        streams: StreamFactory,
+        clock: VirtualClock | WallClock,
+        monitor: Monitor | None = None,
+    ) -> None:
+        self.scenario = scenario
+        self.world, self.joints, self.controller = world, joints, controller
+        self.recorder, self.clock, self.monitor = recorder, clock, monitor
+        self.now_ns = 0
+        self.stop_reason: str | None = None  # set by the monitor
+        self.tap: Tap | None = None
+        self.requests: deque[Callable[[], None]] = deque()  # run between two events: injections while running
+        self.injected: list[dict[str, Any]] = []
+
+        self._joint_count = len(robot.joints)
+        self.wires = [
+            Wire(bus.name, scenario.bus[bus.name], len(bus.joints) + 2, streams) for bus in robot.buses
+        ]
+        self._tool_port = [len(bus.joints) + 1 for bus in robot.buses]
+        order = {name: index for index, name in enumerate(robot.joint_names)}
+        self._joints_of = [[order[name] for name in bus.joints] for bus in robot.buses]
+        self._place = {
+            order[name]: (b, port)
+            for b, bus in enumerate(robot.buses)
+            for port, name in enumerate(bus.joints, start=GATEWAY_PORT + 1)
+        }
+        self.gateway = Gateway(robot)
+        self.state_link = Link("link.state", scenario.link.state, streams)
+        self.command_link = Link("link.command", scenario.link.command, streams)
+
+        self._isr_rate = int(scenario.firmware.rate)
+        self._steps_per_isr = int(scenario.world.rate) // self._isr_rate
+        self._isr_per_report = self._isr_rate // int(scenario.firmware.report_rate)
+        self._control_rate = int(scenario.controller.rate)
+        self._control_phase_ns = round(scenario.controller.phase * 1e9)
+        self._compute_ns = round(scenario.controller.compute_time * 1e9)
+        self._isr = 0  # ticks done
+        self._control = 0
+        self._isr_ns = 0
+        self._control_ns = self._control_phase_ns
+        self._reply_ns = _NEVER
+        self._reply: tuple[list[Item], np.ndarray] | None = None
+        self._flush_ns = _FLUSH_NS
+        self._monitor_ns = _MONITOR_NS
+        self._inboxes: list[list[Frame]] = [[] for _ in range(self._joint_count)]
+        self._arrived: list[tuple[int, int, int, bytes]] = []
+        self._schedule = sorted(
+            ((round(i.at * 1e9), n, i.key, i.value) for n, i in enumerate(scenario.inject)), key=lambda i: i[:2]
+        )
+        self._scheduled = 0
+
+        self._world_rows = recorder.channel("world")
+        self._controller_rows = recorder.channel("controller")
+        self._drive_rows = recorder.channel("drives")
+        self._bus_rows = recorder.channel("bus")
+        n = self._joint_count
+        self._drive_row = np.full(3 * n, np.nan)
+        self._drive_row[: 2 * n] = 0.0
+        self._bus_row = np.zeros(4 * len(self.wires))
+        self._busy_before = [0] * len(self.wires)
+        names = self._controller_rows.names
+        self._com_columns = [names.index(n) for n in ("com.x", "com.z", "com_reference.x", "com_reference.z")]
+        self._com_error = 0.0
+
+    # --- running ------------------------------------------------------------------------------------------------
+
+    def run_until(self, end_ns: int) -> None:
+        """Process all events before ``end_ns``, in order; return early when the monitor has seen a reason to stop."""
+        while self.stop_reason is None:
+            now = min(
+                self._isr_ns,
+                self._control_ns,
+                self._reply_ns,
+                self.state_link.next_time() or _NEVER,
+                self.command_link.next_time() or _NEVER,
+                *[wire.next_time() or _NEVER for wire in self.wires],
+            )
+            if now >= end_ns:
+                self.now_ns = end_ns
+                return
+            self.now_ns = now
+            self._step(now)
+
+    def _step(self, now: int) -> None:
+        for b, wire in enumerate(self.wires):
+            if wire.next_time() == now:
+                for delivery in wire.advance(now):
+                    self._deliver(b, now, delivery.sender, delivery.frame)
+        if self.state_link.next_time() == now:
+            for arrival, (source, can_id, data) in self.state_link.pop_due(now):
+                self._arrived.append((arrival, source, can_id, data))
+        if self.command_link.next_time() == now:
+            for _, item in self.command_link.pop_due(now):
+                bus, frame = self.gateway.from_link(item)
+                self.wires[bus].offer(now, GATEWAY_PORT, frame)
+        if now == self._isr_ns:
+            self.clock.wait_until(now)
+            self._tick_joints(now)
+        if now == self._reply_ns:
+            self._finish_control(now)
+        if now == self._control_ns:
+            self._start_control(now)
+
+    def _deliver(self, b: int, now: int, sender: int, frame: Frame) -> None:
+        self.recorder.frame(now, b, frame)
+        if self.tap is not None:
+            self.tap.broadcast(b, now, sender, frame)
+        if frame.id == messages.COMMAND:  # the acceptance filter of the drives' CAN controllers
+            for slot, joint in enumerate(self._joints_of[b]):
+                if sender != slot + 1:
+                    self._inboxes[joint].append(frame)
+                if sender == GATEWAY_PORT:
+                    self._note_round_trip(now, joint, slot, frame.data)
+        if sender != GATEWAY_PORT:
+            item = self.gateway.from_can(now, b, frame)
+            if item is not None:
+                self.state_link.send(now, item, 8 * len(frame.data))
+                if frame.id & 0x780 == messages.STATE:
+                    self._note_state(b, sender, frame.data)
+
+    def _tick_joints(self, now: int) -> None:
+        world = self.world
+        if self._isr % self._isr_per_report == 0:
+            self._world_rows.append(now, world.truth())
+            self.state_link.send(now, (IMU_SOURCE, 0, world.imu()), 8 * 12)
+        world.sample()
+        world.latch()
+        self.joints.start(now, self._inboxes)
+        for _ in range(self._steps_per_isr):
+            world.step()
+        outboxes = self.joints.finish()
+        for joint, frames in enumerate(outboxes):
+            if frames:
+                bus, port = self._place[joint]
+                for frame in frames:
+                    self.wires[bus].offer(now, port, frame)
+        for inbox in self._inboxes:
+            inbox.clear()
+        self._isr += 1
+        self._isr_ns = tick_ns(self._isr, self._isr_rate)
+
+    def _start_control(self, now: int) -> None:
+        if self._scheduled < len(self._schedule) and self._schedule[self._scheduled][0] <= now:
+            self._apply_schedule(now)
+        while self.requests:  # filled by a thread of Zenoh's
+            self.requests.popleft()()
+        if self.tap is not None:
+            for bus, frame in self.tap.poll():
+                self.wires[bus].offer(now, self._tool_port[bus], frame)
+        self.controller.start(now, self._arrived)
+        self._arrived = []
+        self._reply_ns = now + self._compute_ns
+        self._control += 1
+        self._control_ns = self._control_phase_ns + tick_ns(self._control, self._control_rate)
+        self._drive_rows.append(now, self._drive_row)
+        self._drive_row[2 * self._joint_count :] = np.nan
+
+    def _finish_control(self, now: int) -> None:
+        commands, telemetry = self._reply if self._reply is not None else self.controller.finish()
+        self._reply = None
+        self._reply_ns = _NEVER
+        for item in commands:
+            self.command_link.send(now, item, 8 * len(item[2]))
+        self._controller_rows.append(now, telemetry)
+        if now >= self._monitor_ns:
+            self._watch(now, telemetry)
+        if now >= self._flush_ns:
+            self._flush_ns += _FLUSH_NS
+            self.recorder.flush(now)
+
+    # --- observing ----------------------------------------------------------------------------------------------
+
+    def _note_state(self, b: int, sender: int, data: bytes) -> None:
+        joint = self._joints_of[b][sender - 1] if 0 < sender <= len(self._joints_of[b]) else None
+        if joint is not None and len(data) == messages.STATE_LENGTH:
+            self._drive_row[joint] = data[2] | data[3] << 8
+            self._drive_row[self._joint_count + joint] = data[22]
+
+    def _note_round_trip(self, now: int, joint: int, slot: int, data: bytes) -> None:
+        """Time from the joint's sample to the command that used it arriving at that joint.
+
+        Sample c is taken at the joint's report tick c; the command echoes c modulo 2**16.
+        """
+        if len(data) != messages.COMMAND_LENGTH:
+            return
+        controlword, echoed = data[4 + 20 * slot], data[22 + 20 * slot] | data[23 + 20 * slot] << 8
+        if controlword != messages.Controlword.ENABLE_OPERATION:
+            return  # not yet computed from a sample
+        latest = (self._isr - 1) // self._isr_per_report
+        sample = latest - ((latest - echoed) & 0xFFFF)
+        if sample >= 0:
+            sampled = tick_ns(sample * self._isr_per_report, self._isr_rate)
+            self._drive_row[2 * self._joint_count + joint] = (now - sampled) * 1e-9
+
+    def _watch(self, now: int, telemetry: np.ndarray) -> None:
+        span = now - self._monitor_ns + _MONITOR_NS
+        self._monitor_ns = now + _MONITOR_NS
+        count = len(self.wires)
+        for b, wire in enumerate(self.wires):
+            self._bus_row[b] = (wire.busy_ns - self._busy_before[b]) / span
+            self._busy_before[b] = wire.busy_ns
+            self._bus_row[count + b] = wire.sent
+            self._bus_row[2 * count + b] = wire.lost
+            self._bus_row[3 * count + b] = wire.errors
+        self._bus_rows.append(now, self._bus_row)
+        x, z, x_reference, z_reference = telemetry[self._com_columns]
+        self._com_error = float(np.hypot(x - x_reference, z - z_reference))
+        if self.monitor is not None:
+            self.stop_reason = self.monitor.check(now, self.world.truth(), telemetry, self._drive_row)
+
+    def com_error(self) -> float:
+        """Distance of the estimated CoM from its reference in the sagittal plane now, m."""
+        return self._com_error
+
+    def bus_loads(self) -> list[float]:
+        """Load of each bus over the last hundredth of a second."""
+        return [float(share) for share in self._bus_row[: len(self.wires)]]
+
+    # --- injecting ----------------------------------------------------------------------------------------------
+
+    def inject(self, key: str, value: str | float) -> float:
+        """Change one impairment from now on. Returns its value in SI units; raises UserError for a wrong one."""
+        parsed = parse_value(key, value)
+        target, _, quantity = key.rpartition(".")
+        self._impaired(target).set(quantity, parsed)
+        self.injected.append({"time_s": self.now_ns * 1e-9, "key": key, "value": str(value)})
+        return parsed
+
+    def _impaired(self, target: str) -> Any:
+        if target == "link.state":
+            return self.state_link
+        if target == "link.command":
+            return self.command_link
+        for wire in self.wires:
+            if target == f"bus.{wire.name}":
+                return wire
+        raise UserError(f"nothing to inject at {target!r}")
+
+    def _apply_schedule(self, now: int) -> None:
+        while self._scheduled < len(self._schedule) and self._schedule[self._scheduled][0] <= now:
+            _, _, key, value = self._schedule[self._scheduled]
+            self._scheduled += 1
+            self.inject(key, value)
+
+    # --- state --------------------------------------------------------------------------------------------------
+
+    _PLAIN = (
+        "now_ns", "_isr", "_control", "_isr_ns", "_control_ns", "_reply_ns", "_flush_ns", "_monitor_ns", "_scheduled",
+    )  # fmt: skip
+
+    def snapshot(self) -> dict[str, Any]:
+        """The whole system between two events; an answer of the controller that is under way is waited for."""
+        if self._reply_ns != _NEVER and self._reply is None:
+            self._reply = self.controller.finish()
+        reply = None if self._reply is None else ([tuple(i) for i in self._reply[0]], self._reply[1].copy())
+        return {
+            **{name: getattr(self, name) for name in self._PLAIN},
+            "reply": reply,
+            "inboxes": [list(inbox) for inbox in self._inboxes],
+            "arrived": list(self._arrived),
+            "drive_row": self._drive_row.copy(),
+            "busy_before": list(self._busy_before),
+            "world": self.world.snapshot(),
+            "joints": self.joints.snapshot(),
+            "controller": self.controller.snapshot(),
+            "wires": [wire.snapshot() for wire in self.wires],
+            "links": [self.state_link.snapshot(), self.command_link.snapshot()],
+            "gateway": self.gateway.snapshot(),
+        }
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Continue from ``snapshot``: the run goes on as the uninterrupted one did."""
+        for name in self._PLAIN:
+            setattr(self, name, state[name])
+        reply = state["reply"]
+        self._reply = None if reply is None else (list(reply[0]), reply[1].copy())
+        self._inboxes = [list(inbox) for inbox in state["inboxes"]]
+        self._arrived = list(state["arrived"])
+        self._drive_row[:] = state["drive_row"]
+        self._busy_before = list(state["busy_before"])
+        self.world.restore(state["world"])
+        self.joints.restore(state["joints"])
+        self.controller.restore(state["controller"])
+        for wire, saved in zip(self.wires, state["wires"], strict=True):
+            wire.restore(saved)
+        self.state_link.restore(state["links"][0])
+        self.command_link.restore(state["links"][1])
+        self.gateway.restore(state["gateway"])
+
+

@@ -1,0 +1,200 @@
+"""The MuJoCo model of a robot on its terrain, built from the robot's description.
+
+Generalised coordinates: the base's, then the joints in the robot's order. The base is a free joint (position,
+quaternion), or with the planarizer [slider x, z, roll, pitch], all zero at the world's origin, torso upright.
+Rotors, springs and actuator friction are not here but in ``plant.sea``: a joint takes its torque as applied force.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from plant import visuals
+from plant.config import PlanarizerConfig, TerrainConfig
+from plant.stance import Array, Stance
+from robots.description import Link, Robot
+
+# Contact, tuned by measurement: feet that carry the robot and are pulled sideways with 0.9 of the friction limit creep
+# by 0.03 mm/s and sink in by 0.02 mm (tests/plant/test_contact.py). Critically damped; the impedance is high and does
+# not depend on depth; friction is made stiffer than the normal direction, else the feet creep by millimetres a second.
+CONTACT_TIME_CONSTANT = 2e-3  # s; MuJoCo needs at least two time steps
+CONTACT_IMPEDANCE = (0.98, 0.98, 1e-3, 0.5, 2.0)
+FRICTION_TO_NORMAL_IMPEDANCE = 100.0
+LIMIT_TIME_CONSTANT = 4e-3  # s, of the mechanical end stops
+
+_TERRAIN, _FOOT, _TORSO = 1, 2, 4  # collision classes: feet and torso meet the terrain, nothing else
+
+
+class TerrainError(ValueError):
+    """The feet cannot stand like this on this terrain."""
+
+
+def panel_normals(angle: float) -> Array:
+    """Upward normals (2, 3) of the right (front) and left (rear) panel: each looks at the robot."""
+    sine, cosine = np.sin(angle), np.cos(angle)
+    return np.array([[-sine, 0.0, cosine], [sine, 0.0, cosine]])
+
+
+def build(
+    robot: Robot, stance: Stance, terrain: TerrainConfig, planarizer: PlanarizerConfig, rate: float
+) -> mujoco.MjModel:
+    """Build the model. ``rate``: physics steps per second. The terrain just touches the feet of ``stance``.
+
+    Sensors, in this order in ``sensordata`` (3 numbers each unless said): base (torso frame's origin), com and
+    com_velocity (of the robot without slider), feet's centres, contacts (force of the foot on the terrain, N, of the
+    last step), gyro, accelerometer, torso_com, torso_velocity, torso_rate (of the torso's centre of mass, world
+    frame), torso_contact (1, number of contacts). Raises TerrainError.
+    """
+    spec = mujoco.MjSpec()
+    spec.modelname = robot.name
+    spec.compiler.degree = False
+    option = spec.option
+    option.timestep = 1.0 / rate
+    option.gravity = np.array([0.0, 0.0, -robot.gravity])
+    option.integrator = mujoco.mjtIntegrator.mjINT_EULER
+    option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
+    option.solver = mujoco.mjtSolver.mjSOL_NEWTON
+    option.jacobian = mujoco.mjtJacobian.mjJAC_DENSE
+    option.iterations = 20
+    option.ls_iterations = 20
+    option.tolerance = 1e-10
+    option.impratio = FRICTION_TO_NORMAL_IMPEDANCE
+    # Islands and mid phase have nothing to gain here. Automatic reset would hide a diverged run. Implicit joint damping
+    # would be unknown to the contact solver, which assumes the explicit step: with stiff contacts the feet chatter.
+    flag = mujoco.mjtDisableBit
+    option.disableflags = int(
+        flag.mjDSBL_ISLAND | flag.mjDSBL_MIDPHASE | flag.mjDSBL_AUTORESET | flag.mjDSBL_EULERDAMP
+    )
+
+    visuals.scene(spec, stance)
+    _terrain(spec, robot, stance, terrain)
+    torso = _base(spec, robot, planarizer)
+    _legs(spec, robot, torso)
+    _sensors(spec, robot)
+    return spec.compile()
+
+
+def initial_qpos(model: mujoco.MjModel, stance: Stance) -> Array:
+    """Generalised coordinates (nq,) of ``stance``."""
+    base = [*stance.torso, 1.0, 0.0, 0.0, 0.0]
+    if model.nq - len(stance.joints) == 4:
+        base = [stance.torso[0], stance.torso[2], 0.0, 0.0]
+    return np.array([*base, *stance.joints])
+
+
+def _inertial(body: Any, link: Link) -> None:
+    body.mass = link.mass
+    body.ipos = np.array(link.com)
+    body.inertia = np.array(link.inertia)
+    body.explicitinertial = True
+
+
+def _base(spec: mujoco.MjSpec, robot: Robot, planarizer: PlanarizerConfig) -> Any:
+    hinge, slide = mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE
+    if not planarizer.enabled:
+        torso = spec.worldbody.add_body(name=robot.base.name)
+        torso.add_freejoint(name="base")
+    else:
+        slider = spec.worldbody.add_body(name="slider", mass=max(planarizer.slider_mass, 1e-6), explicitinertial=True)
+        slider.inertia = np.full(3, 1e-3)  # it does not turn
+        slider.add_joint(name="slider_x", type=slide, axis=[1.0, 0.0, 0.0])
+        visuals.slider(slider)
+        torso = slider.add_body(name=robot.base.name)
+        torso.add_joint(name="base_z", type=slide, axis=[0.0, 0.0, 1.0])
+        roll = torso.add_joint(name="base_roll", type=hinge, axis=[1.0, 0.0, 0.0])
+        roll.stiffness[0] = planarizer.roll_stiffness
+        roll.damping[0] = planarizer.roll_damping
+        torso.add_joint(name="base_pitch", type=hinge, axis=[0.0, 1.0, 0.0])
+    _inertial(torso, robot.base)
+    torso.add_site(name="imu", pos=list(robot.imu.position), size=[0.01, 0.01, 0.01])
+    # What touches the ground when the robot falls: from the hips to as far above the centre of mass as they are below.
+    height = 2.0 * robot.base.com[2]
+    _collider(torso.add_geom(
+        name="torso", type=mujoco.mjtGeom.mjGEOM_CAPSULE, size=[0.09, 0.0, 0.0],
+        fromto=[0.0, 0.0, 0.02, 0.0, 0.0, height], group=3,
+    ), _TORSO)  # fmt: skip
+    visuals.torso(torso, robot)
+    return torso
+
+
+def _legs(spec: mujoco.MjSpec, robot: Robot, torso: Any) -> None:
+    bodies = {robot.base.name: torso}
+    for joint in robot.joints:
+        body = bodies[joint.parent].add_body(name=joint.name, pos=list(joint.position))
+        bodies[joint.name] = body
+        _inertial(body, joint.link)
+        stop = body.add_joint(
+            name=joint.name, type=mujoco.mjtJoint.mjJNT_HINGE, axis=list(joint.axis), range=list(joint.limits)
+        )
+        stop.limited = mujoco.mjtLimited.mjLIMITED_TRUE
+        stop.solref_limit = np.array([LIMIT_TIME_CONSTANT, 1.0])
+        visuals.link(body, robot, joint)
+    for foot in robot.feet:
+        _collider(bodies[foot.joint].add_geom(
+            name=foot.name, type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[robot.foot_radius, 0.0, 0.0],
+            pos=list(foot.position), rgba=[0.12, 0.12, 0.13, 1.0],
+        ), _FOOT)  # fmt: skip
+    order = [name for body in spec.bodies if (name := body.name) in robot.joint_names]
+    if order != list(robot.joint_names):
+        raise ValueError(f"joints of {robot.name} are not listed leg by leg from the base outwards")
+
+
+def _collider(geom: Any, kind: int) -> None:
+    geom.contype, geom.conaffinity, geom.condim, geom.mass = kind, _TERRAIN, 3, 0.0
+
+
+def _terrain(spec: mujoco.MjSpec, robot: Robot, stance: Stance, terrain: TerrainConfig) -> None:
+    surfaces = []
+    if terrain.kind == "flat":
+        if not np.isclose(stance.feet[0, 2], stance.feet[1, 2]):
+            raise TerrainError("flat ground needs both feet at one height")
+        floor = float(stance.feet[0, 2]) - robot.foot_radius
+        surfaces.append(visuals.floor(spec, floor))
+    else:
+        if stance.feet[0, 0] <= stance.feet[1, 0]:
+            raise TerrainError("split terrain needs the right foot in front of the left: set stance.feet_apart > 0")
+        normals = panel_normals(terrain.panel_angle)
+        points = stance.feet - robot.foot_radius * normals
+        middle = 0.5 * float(points[0, 0] + points[1, 0])
+        # The panels meet at the middle of the feet, or would there if they were long enough.
+        valley = float(points[0, 2] - (points[0, 0] - middle) * np.tan(terrain.panel_angle))
+        surfaces.append(visuals.floor(spec, valley - 0.04))
+        for name, point, normal in zip(("right_panel", "left_panel"), points, normals, strict=True):
+            surfaces.append(visuals.panel(spec, name, point, normal, middle))
+    for geom in surfaces:
+        # Priority: the contact takes these numbers, not a mixture with the foot's.
+        geom.priority = 1
+        geom.contype, geom.conaffinity, geom.condim = _TERRAIN, _FOOT | _TORSO, 3
+        geom.friction = np.array([terrain.friction, 0.0, 0.0])
+        geom.solref = np.array([CONTACT_TIME_CONSTANT, 1.0])
+        geom.solimp = np.array(CONTACT_IMPEDANCE)
+
+
+def _sensors(spec: mujoco.MjSpec, robot: Robot) -> None:
+    kind, thing = mujoco.mjtSensor, mujoco.mjtObj
+    data = mujoco.mjtConDataField
+    torso = robot.base.name
+
+    def add(name: str, sensor: Any, objtype: Any, objname: str, intprm: list[int] | None = None) -> None:
+        made = spec.add_sensor(name=name, type=sensor, objtype=objtype, objname=objname)
+        if intprm is not None:
+            made.intprm = np.array(intprm)
+
+    add("base", kind.mjSENS_FRAMEPOS, thing.mjOBJ_XBODY, torso)
+    add("com", kind.mjSENS_SUBTREECOM, thing.mjOBJ_BODY, torso)
+    add("com_velocity", kind.mjSENS_SUBTREELINVEL, thing.mjOBJ_BODY, torso)
+    for foot in robot.feet:
+        add(f"{foot.name}.position", kind.mjSENS_FRAMEPOS, thing.mjOBJ_GEOM, foot.name)
+    netforce = 3  # reduction of the contact sensor: the sum, in the world frame
+    for foot in robot.feet:
+        add(f"{foot.name}.contact", kind.mjSENS_CONTACT, thing.mjOBJ_GEOM, foot.name,
+            [1 << data.mjCONDATA_FORCE.value, netforce, 1])  # fmt: skip
+    add("gyro", kind.mjSENS_GYRO, thing.mjOBJ_SITE, "imu")
+    add("accelerometer", kind.mjSENS_ACCELEROMETER, thing.mjOBJ_SITE, "imu")
+    add("torso_com", kind.mjSENS_FRAMEPOS, thing.mjOBJ_BODY, torso)
+    add("torso_velocity", kind.mjSENS_FRAMELINVEL, thing.mjOBJ_BODY, torso)
+    add("torso_rate", kind.mjSENS_FRAMEANGVEL, thing.mjOBJ_BODY, torso)
+    add("torso_contact", kind.mjSENS_CONTACT, thing.mjOBJ_GEOM, "torso", [1 << data.mjCONDATA_FOUND.value, 0, 1])
