@@ -48,7 +48,6 @@ class SensorConfig(Config):
 
     noise: Gain = 1.0  # all noise densities
     bias: Gain = 1.0  # all biases
-    quantisation: bool = True
 
 
 class PushConfig(Config):

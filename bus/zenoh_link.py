@@ -1,0 +1,124 @@
+"""Key expressions and payloads of the Zenoh link between gateway and central controller, and its session settings.
+
+A bundle carries all that arrived since the last tick, or the commands and telemetry of an answer. Little-endian::
+
+    u16 magic 0x4C48  u8 version  u8 0  u32 sequence  i64 time (ns)  u16 items  u16 values
+    items:  i64 arrival (ns)  u32 CAN identifier  u8 source (bus, or 255: IMU)  u8 length  data
+    values: f64 each
+"""
+
+from __future__ import annotations
+
+import json
+import struct
+from typing import Any, NamedTuple
+
+import numpy as np
+
+MAGIC = 0x4C48
+VERSION = 1
+IMU_SOURCE = 255
+_HEADER = struct.Struct("<HBBIqHH")
+_ITEM = struct.Struct("<qIBB")
+_LONGEST = 64  # bytes of data in an item
+
+Item = tuple[int, int, int, bytes]  # arrival in ns, source, CAN identifier, data
+
+
+class MalformedBundleError(ValueError):
+    """A payload that is not a bundle of this version."""
+
+
+class Keys(NamedTuple):
+    """Key expressions of one run."""
+
+    state: str  # gateway to controller
+    command: str  # controller to gateway
+    inject: str  # query: change an impairment
+    telemetry: str  # live signals
+
+
+def keys(run: str) -> Keys:
+    """Key expressions of the run ``run``."""
+    return Keys(*(f"hil/{run}/{name}" for name in Keys._fields))
+
+
+class Bundle(NamedTuple):
+    sequence: int
+    time_ns: int
+    items: list[Item]
+    values: np.ndarray
+
+
+def encode_bundle(sequence: int, time_ns: int, items: list[Item], values: np.ndarray | None = None) -> bytes:
+    """Payload of ``items`` and ``values`` (float64)."""
+    count = 0 if values is None else len(values)
+    parts = [_HEADER.pack(MAGIC, VERSION, 0, sequence, time_ns, len(items), count)]
+    pack = _ITEM.pack
+    for arrival, source, can_id, data in items:
+        parts.append(pack(arrival, can_id, source, len(data)))
+        parts.append(data)
+    if values is not None:
+        parts.append(values.tobytes())
+    return b"".join(parts)
+
+
+def bundle_sequence(payload: bytes) -> int:
+    """Sequence number of a bundle, from its header alone. Raises MalformedBundleError."""
+    if len(payload) < _HEADER.size:
+        raise MalformedBundleError(f"{len(payload)} bytes are less than a bundle's header of {_HEADER.size}")
+    magic, version, _, sequence, _, _, _ = _HEADER.unpack_from(payload)
+    if magic != MAGIC or version != VERSION:
+        raise MalformedBundleError(f"magic {magic:#06x} version {version}: expected {MAGIC:#06x} version {VERSION}")
+    return sequence
+
+
+def decode_bundle(payload: bytes) -> Bundle:
+    """Read a bundle. Raises MalformedBundleError when anything about it is not as it should be."""
+    sequence = bundle_sequence(payload)
+    _, _, reserved, _, time_ns, count, doubles = _HEADER.unpack_from(payload)
+    if reserved:
+        raise MalformedBundleError("reserved byte of the header is not 0")
+    at, end = _HEADER.size, len(payload)
+    unpack, size = _ITEM.unpack_from, _ITEM.size
+    items: list[Item] = []
+    for _ in range(count):
+        if at + size > end:
+            raise MalformedBundleError("the payload ends within an item")
+        arrival, can_id, source, length = unpack(payload, at)
+        at += size + length
+        if length > _LONGEST or at > end:
+            raise MalformedBundleError(f"an item of {length} bytes does not fit")
+        items.append((arrival, source, can_id, payload[at - length : at]))
+    if at + 8 * doubles != end:
+        raise MalformedBundleError(f"{end - at} bytes follow the items instead of {8 * doubles}")
+    return Bundle(sequence, time_ns, items, np.frombuffer(payload, "<f8", doubles, at))
+
+
+def session_config(listen: str | None, connect: str | None, router: bool = False) -> Any:
+    """Zenoh settings of one session: explicit endpoints, no scouting.
+
+    Args:
+        listen: endpoint to listen at.
+        connect: endpoint to connect to.
+        router: ``connect`` is a router of the user's; join it as a client, with stock transport settings. Otherwise
+            both ends are this project's, and the transport drops what costs latency.
+    """
+    import zenoh
+
+    config = zenoh.Config()
+    settings: dict[str, Any] = {
+        "mode": "client" if router else "peer",
+        "scouting/multicast/enabled": False,
+        "listen/endpoints": [listen] if listen else [],
+        "connect/endpoints": [connect] if connect else [],
+    }
+    if not router:
+        settings |= {
+            "scouting/gossip/enabled": False,
+            "transport/unicast/lowlatency": True,
+            "transport/unicast/qos/enabled": False,
+        }
+    for key, value in settings.items():
+        config.insert_json5(key, json.dumps(value))
+    return config

@@ -1,0 +1,37 @@
+"""Pictures of the robot without a screen."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Iterator
+
+os.environ.setdefault("MUJOCO_GL", "egl")
+
+import mujoco  # noqa: E402
+import numpy as np  # noqa: E402
+
+
+class RenderError(RuntimeError):
+    """No off-screen OpenGL here."""
+
+
+def frames(
+    model: mujoco.MjModel, qpos_rows: Iterable[np.ndarray], width: int = 960, height: int = 540
+) -> Iterator[np.ndarray]:
+    """RGB pictures (height, width, 3) uint8 of the robot at each row of generalised coordinates."""
+    screen = model.vis.global_
+    screen.offwidth, screen.offheight = max(screen.offwidth, width), max(screen.offheight, height)
+    try:
+        renderer = mujoco.Renderer(model, height, width)
+    except Exception as error:
+        raise RenderError(
+            f"no off-screen OpenGL ({error}); on Debian: apt-get install libegl1 libgl1-mesa-dri"
+        ) from None
+    data = mujoco.MjData(model)
+    camera = 0 if model.ncam else -1
+    with renderer:
+        for qpos in qpos_rows:
+            data.qpos[:] = qpos
+            mujoco.mj_forward(model, data)
+            renderer.update_scene(data, camera)
+            yield renderer.render()

@@ -1,0 +1,228 @@
+"""The world node: physics, actuators and sensors behind the pins."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import casadi as ca
+import mujoco
+import numpy as np
+
+from plant import stance as stances
+from plant.config import PushConfig, SensorConfig, StanceConfig, TerrainConfig, WorldConfig
+from plant.model import build, initial_qpos
+from plant.sea import SeriesElasticActuators
+from plant.sensors import ImuSensor, JointSensors
+from robots import description, pins
+from robots.description import Robot
+
+# The hoist carries the robot's weight; its stiffness and damping keep the torso within a millimetre meanwhile.
+_HOIST_LINEAR = (2e4, 1.5e3)  # N/m, N s/m
+_HOIST_ANGULAR = (2e3, 1e2)  # N m/rad, N m s/rad
+
+
+def _identity(function: ca.Function) -> ca.Function:
+    return function
+
+
+class World:
+    """Physics of one robot on its terrain.
+
+    ``pins_in`` and ``pins_out`` are the drives' pins, int32 (joints, ``robots.pins.N_INPUTS`` or ``N_OUTPUTS``).
+    Origin: the midpoint of the feet's centres at the start; x forward, z up.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        config: WorldConfig,
+        terrain: TerrainConfig,
+        stance: StanceConfig,
+        sensors: SensorConfig,
+        pushes: Sequence[PushConfig],
+        streams: Callable[[str], Any],
+        compile: Callable[[ca.Function], ca.Function] = _identity,
+        imu_rate: float = 1500.0,
+    ) -> None:
+        if config.variant is not None:
+            robot = description.load(robot.name, config.variant)
+        self.robot = robot
+        self._config = config
+        self._pushes = tuple((push, np.array(push.force)) for push in pushes)
+        start = stances.initial(robot, stance)
+        self.model = build(robot, start, terrain, config.planarizer, config.rate)
+        self.data = mujoco.MjData(self.model)
+        n = len(robot.joints)
+        self._n = n
+        self._dt = 1.0 / config.rate
+        self.data.qpos[:] = initial_qpos(self.model, start)
+        self._start = self.data.qpos.copy()
+        self._base_dofs = self.model.nv - n
+        self._q = self.data.qpos[-n:]  # views: MuJoCo never moves its arrays
+        self._dq = self.data.qvel[-n:]
+        self._applied = self.data.qfrc_applied
+        self._torso = self.model.body(robot.base.name).id
+        self._push = self.data.xfrc_applied[self._torso]
+        self._rotation = self.data.xmat[self._torso]
+        self._sensed = self.data.sensordata
+        self._actuators = SeriesElasticActuators(robot, self._dt, config.friction_scale, compile)
+        self._actuators.place(self._q)
+        self._joint_sensors = JointSensors(robot)
+        self._imu = ImuSensor(robot, sensors, imu_rate, streams)
+        self.pins_in = np.zeros((n, pins.N_INPUTS), np.int32)
+        self.pins_out = np.zeros((n, pins.N_OUTPUTS), np.int32)
+        self._limits = np.array([joint.actuator.current_limit for joint in robot.joints])
+        self._steps = 0
+        self._state_size = mujoco.mj_stateSize(self.model, mujoco.mjtState.mjSTATE_INTEGRATION)
+        mujoco.mj_forward(self.model, self.data)
+        self._support = self.data.qfrc_bias[: self._base_dofs].copy()  # generalised weight at the start
+        self._hoist_base(self._hoist(0.0))  # the accelerometer's first sample is not that of a free fall
+        mujoco.mj_forward(self.model, self.data)
+
+        self.truth_fields = self._name_truth()
+        self._truth = np.zeros(len(self.truth_fields))
+
+    def attach_pins(self, pins_in: np.ndarray, pins_out: np.ndarray) -> None:
+        """Use these arrays as the pins, e.g. in memory shared with the drives."""
+        self.pins_in, self.pins_out = pins_in, pins_out
+
+    @property
+    def time(self) -> float:
+        """Simulated time, s."""
+        return self._steps * self._dt
+
+    # --- what the calendar calls ----------------------------------------------------------------------------------
+
+    def sample(self) -> None:
+        """Write the drives' input pins from the present state."""
+        loads = -self._sensed[[17, 20]]  # vertical force of each foot on the ground points down
+        actuators = self._actuators
+        self._joint_sensors.write(self.pins_in, actuators.theta, self._q, actuators.current, loads)
+
+    def latch(self) -> None:
+        """Let the drives' output pins take effect from now on. The power stages saturate at the current limits."""
+        current = self._actuators.current
+        np.multiply(self.pins_out[:, pins.CURRENT_DEMAND], pins.AMPERE_PER_COUNT, out=current)
+        np.minimum(current, self._limits, out=current)
+        np.maximum(current, -self._limits, out=current)
+        current *= self.pins_out[:, pins.ENABLE] != 0
+
+    def step(self) -> None:
+        """One physics step."""
+        now = self.time
+        self._applied[-self._n :] = self._actuators.step(self._q, self._dq)
+        self._hoist_base(self._hoist(now))
+        if self._pushes:
+            self._push[:3] = self._push_force(now + 0.5 * self._dt)  # mid-step: the impulse is exact
+        # the second half of this step, then the first half of the next: what was sensed belongs to the new state
+        mujoco.mj_step2(self.model, self.data)
+        self._steps += 1
+        mujoco.mj_step1(self.model, self.data)
+
+    def imu(self) -> bytes:
+        """One sample of the IMU on its wire."""
+        return self._imu.sample(self._sensed[21:24], self._sensed[24:27])
+
+    def truth(self) -> np.ndarray:
+        """The physical truth now, float64, named by ``truth_fields``; the array is reused."""
+        n, row, sensed, act = self._n, self._truth, self._sensed, self._actuators
+        row[:n] = self._q
+        row[n : 2 * n] = self._dq
+        row[2 * n : 3 * n] = act.theta
+        row[3 * n : 4 * n] = act.dtheta
+        row[4 * n : 5 * n] = act.spring_torque(self._q, self._dq)
+        row[5 * n : 6 * n] = act.current
+        at = 6 * n
+        row[at : at + 3] = sensed[0:3]
+        row[at + 3 : at + 6] = self._roll_pitch_yaw()
+        row[at + 6 : at + 24] = sensed[3:21]  # com, com_velocity, feet, contacts
+        at += 24
+        line = sensed[9:12] - sensed[12:15]  # from the left to the right foot
+        row[at] = line @ (sensed[15:18] - sensed[18:21]) / math.sqrt(line @ line)
+        row[at + 1 : at + 4] = self._push[:3]
+        row[at + 4] = self._hoist(self.time)
+        row[at + 5 :] = self.data.qpos
+        return row
+
+    def fallen(self) -> bool:
+        """Whether the torso touches the ground."""
+        return bool(self._sensed[36] > 0)
+
+    # --- inside ---------------------------------------------------------------------------------------------------
+
+    def _name_truth(self) -> list[str]:
+        joints = self.robot.joint_names
+        names = [
+            f"{what}.{joint}"
+            for what in ("q", "dq", "motor", "dmotor", "spring_torque", "motor_current")
+            for joint in joints
+        ]
+        names += [f"base.{axis}" for axis in ("x", "y", "z", "roll", "pitch", "yaw")]
+        names += [f"{what}.{axis}" for what in ("com", "com_velocity") for axis in "xyz"]
+        names += [f"{what}.{f.name}.{axis}" for what in ("foot", "contact") for f in self.robot.feet for axis in "xyz"]
+        names += ["internal_force", "push.x", "push.y", "push.z", "hoist"]
+        return names + [f"qpos.{i}" for i in range(self.model.nq)]
+
+    def _roll_pitch_yaw(self) -> tuple[float, float, float]:
+        r = self._rotation.tolist()
+        pitch = math.asin(min(1.0, max(-1.0, -r[6])))
+        return math.atan2(r[7], r[8]), pitch, math.atan2(r[3], r[0])
+
+    def _hoist(self, now: float) -> float:
+        """Share of the hoist's support at ``now``, 1 to 0."""
+        config = self._config.hoist
+        if now < config.hold:
+            return 1.0
+        return max(0.0, 1.0 - (now - config.hold) / config.release) if config.release > 0 else 0.0
+
+    def _hoist_base(self, share: float) -> None:
+        dofs = self._base_dofs
+        if share == 0.0:
+            self._applied[:dofs] = 0.0
+            return
+        qpos, velocity = self.data.qpos, self.data.qvel[:dofs]
+        if dofs == 4:  # planarizer: x, z, roll, pitch
+            deviation, linear = qpos[:4] - self._start[:4], 2
+        else:  # free joint: twice a small quaternion's vector part is the rotation vector
+            sign = 1.0 if qpos[3] >= 0 else -1.0
+            deviation = np.concatenate([qpos[:3] - self._start[:3], 2.0 * sign * qpos[4:7]])
+            linear = 3
+        for part, (stiffness, damping) in (
+            (slice(0, linear), _HOIST_LINEAR),
+            (slice(linear, dofs), _HOIST_ANGULAR),
+        ):
+            wrench = self._support[part] - stiffness * deviation[part] - damping * velocity[part]
+            self._applied[part] = share * wrench
+
+    def _push_force(self, now: float) -> np.ndarray:
+        total = np.zeros(3)
+        for push, force in self._pushes:
+            inside = min(now - push.at + push.ramp, push.at + push.duration + push.ramp - now)
+            if inside > 0:
+                total += force * (min(inside / push.ramp, 1.0) if push.ramp > 0 else 1.0)
+        return total
+
+    # --- state ----------------------------------------------------------------------------------------------------
+
+    def snapshot(self) -> dict[str, Any]:
+        state = np.empty(self._state_size)
+        mujoco.mj_getState(self.model, self.data, state, mujoco.mjtState.mjSTATE_INTEGRATION)
+        return {
+            "state": state,
+            "sensed": self._sensed.copy(),
+            "steps": self._steps,
+            "actuators": self._actuators.snapshot(),
+            "imu": self._imu.snapshot(),
+            "pins": (self.pins_in.copy(), self.pins_out.copy()),
+        }
+
+    def restore(self, state: dict[str, Any]) -> None:
+        mujoco.mj_setState(self.model, self.data, state["state"], mujoco.mjtState.mjSTATE_INTEGRATION)
+        mujoco.mj_step1(self.model, self.data)
+        self._sensed[:] = state["sensed"]  # forces and accelerations belong to the step before
+        self._steps = state["steps"]
+        self._actuators.restore(state["actuators"])
+        self._imu.restore(state["imu"])
+        self.pins_in[:], self.pins_out[:] = state["pins"]
