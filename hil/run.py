@@ -115,7 +115,7 @@ def assemble(request: Request, wrap: Callable[[str, Any], Any] = lambda _, node:
 
         world = World(
             robot, scenario.world, scenario.terrain, scenario.stance, scenario.sensors, scenario.push, random,
-            compile=compile_function,
+            compile=compile_function, imu_rate=scenario.firmware.report_rate,
         )  # fmt: skip
         if request.backend == "processes":
             world.attach_pins(shared.inputs, shared.outputs)
@@ -245,11 +245,11 @@ def _write_directory(request: Request, record: dict[str, Any], tables: dict[str,
     partial = out / "run.json.part"
     partial.write_text(json.dumps(record, indent=2), encoding="utf-8")
     partial.replace(out / "run.json")  # never half a record
-    if request.video and len(tables["world"].times):
+    if request.video and len(tables["world"]):
         from hil.video import write_video
 
         write_video(out, world, tables["world"])
-    if request.report and len(tables["world"].times) > 10:
+    if request.report and len(tables["world"]) > 10:
         from hil.report import write_report
 
         write_report(out, record, tables)

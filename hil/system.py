@@ -19,7 +19,7 @@ import numpy as np
 from bus import messages
 from bus.frames import Frame
 from bus.gateway import Gateway
-from bus.link import Link
+from bus.link import NEVER, Link
 from bus.wire import Wire
 from bus.zenoh_link import IMU_SOURCE
 from hil.clock import VirtualClock, WallClock, tick_ns
@@ -36,7 +36,6 @@ if TYPE_CHECKING:  # a backend forks its children before the physics is imported
 GATEWAY_PORT = 0  # joints follow, then the port of attached tools
 _FLUSH_NS = 100_000_000
 _MONITOR_NS = 10_000_000
-_NEVER = 1 << 62
 
 Item = tuple[int, int, bytes]  # source or bus, CAN identifier, payload
 
@@ -116,7 +115,7 @@ class System:
         self._control = 0
         self._isr_ns = 0
         self._control_ns = self._control_phase_ns
-        self._reply_ns = _NEVER
+        self._reply_ns = NEVER
         self._reply: tuple[list[Item], np.ndarray] | None = None
         self._flush_ns = _FLUSH_NS
         self._monitor_ns = _MONITOR_NS
@@ -136,7 +135,7 @@ class System:
         self._drive_row[: 2 * n] = 0.0
         self._bus_row = np.zeros(4 * len(self.wires))
         self._busy_before = [0] * len(self.wires)
-        names = self._controller_rows.names
+        names = self._controller_rows.signals
         self._com_columns = [names.index(n) for n in ("com.x", "com.z", "com_reference.x", "com_reference.z")]
         self._com_error = 0.0
 
@@ -149,9 +148,9 @@ class System:
                 self._isr_ns,
                 self._control_ns,
                 self._reply_ns,
-                self.state_link.next_time() or _NEVER,
-                self.command_link.next_time() or _NEVER,
-                *[wire.next_time() or _NEVER for wire in self.wires],
+                self.state_link.next_time(),
+                self.command_link.next_time(),
+                *[wire.next_time() for wire in self.wires],
             )
             if now >= end_ns:
                 self.now_ns = end_ns
@@ -236,7 +235,7 @@ class System:
     def _finish_control(self, now: int) -> None:
         commands, telemetry = self._reply if self._reply is not None else self.controller.finish()
         self._reply = None
-        self._reply_ns = _NEVER
+        self._reply_ns = NEVER
         for item in commands:
             self.command_link.send(now, item, 8 * len(item[2]))
         self._controller_rows.append(now, telemetry)
@@ -328,7 +327,7 @@ class System:
 
     def snapshot(self) -> dict[str, Any]:
         """The whole system between two events; an answer of the controller that is under way is waited for."""
-        if self._reply_ns != _NEVER and self._reply is None:
+        if self._reply_ns != NEVER and self._reply is None:
             self._reply = self.controller.finish()
         reply = None if self._reply is None else ([tuple(i) for i in self._reply[0]], self._reply[1].copy())
         return {

@@ -21,7 +21,7 @@ import zenoh
 from bus.frames import Frame
 from bus.ports import ShmPort
 from bus.python_can import HilBus
-from bus.zenoh_link import MalformedBundleError, decode_bundle, encode_bundle, keys, session_config
+from bus.zenoh_link import MalformedBundleError, bundle_sequence, encode_bundle, keys, session_config
 from hil.backends.inline import read_reply, serve
 from hil.backends.lifecycle import REPLY, Family, quiet_collector
 from hil.errors import EmulationError
@@ -143,7 +143,11 @@ class ProcessController:
     def open(self) -> zenoh.Session:
         """Open the launcher's session (after all children were forked: a session has threads) and meet the
         controller's. Returns the session."""
-        config = session_config(None, self._router) if self._router else session_config(self.endpoint, None)
+        config = (
+            session_config(None, self._router, router=True)
+            if self._router
+            else session_config(self.endpoint, None)
+        )
         try:
             self.session = zenoh.open(config)
         except zenoh.ZError as error:
@@ -166,7 +170,7 @@ class ProcessController:
         """On a thread of Zenoh's."""
         answer = sample.payload.to_bytes()
         try:
-            if decode_bundle(answer).sequence != self._sequence:
+            if bundle_sequence(answer) != self._sequence:
                 self.malformed += 1
                 return
         except ValueError:

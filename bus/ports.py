@@ -1,0 +1,254 @@
+"""Ports on an emulated bus: shared memory for a firmware process, a Unix socket for any other process of the user.
+
+Frames on the socket and in the rings have one layout, little-endian: time i64 (ns), identifier u32, flags u8,
+sender u8, length u8, reserved u8, 64 bytes of data.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import re
+import socket
+import struct
+from typing import Any
+
+from bus.frames import Frame, is_valid
+
+_RECORD = struct.Struct("<qIBBBB")
+RECORD_SIZE = _RECORD.size + 64
+_FD, _BRS, _EXTENDED = 1, 2, 4
+VERSION = 1
+_BACKLOG = 16
+_PREFIX = "hume-hil"
+
+
+class PortError(RuntimeError):
+    """A port cannot be opened or reached."""
+
+
+class MalformedRecordError(ValueError):
+    """Bytes that are not a frame."""
+
+
+def pack_frame(frame: Frame, time_ns: int = 0, sender: int = 0) -> bytes:
+    """The record of ``frame``."""
+    flags = (_FD if frame.fd else 0) | (_BRS if frame.brs else 0) | (_EXTENDED if frame.extended else 0)
+    return _RECORD.pack(time_ns, frame.id, flags, sender, len(frame.data), 0) + frame.data
+
+
+def unpack_frame(record: bytes) -> tuple[int, int, Frame]:
+    """Time in ns, sender and frame of a record. Raises MalformedRecordError."""
+    if len(record) < _RECORD.size:
+        raise MalformedRecordError(f"a record of {len(record)} bytes")
+    time_ns, identifier, flags, sender, length, reserved = _RECORD.unpack_from(record)
+    fd, brs, extended = bool(flags & _FD), bool(flags & _BRS), bool(flags & _EXTENDED)
+    if reserved or flags > 7 or len(record) != _RECORD.size + length:
+        raise MalformedRecordError("flags or length do not fit")
+    if not is_valid(identifier, length, fd, brs, extended):
+        raise MalformedRecordError(f"no controller could send identifier {identifier:#x} with {length} bytes")
+    return time_ns, sender, Frame(identifier, record[_RECORD.size :], fd, brs, extended)
+
+
+# --- shared memory ------------------------------------------------------------------------------------------------
+
+_SLOTS = 32  # frames that can wait in one direction
+_SLOT = struct.Struct("<IBB2x")
+_SLOT_SIZE = _SLOT.size + 64
+
+
+class _Ring:
+    """Single producer, single consumer. The lockstep hands over by eventfd, which orders the memory: no locks."""
+
+    SIZE = 16 + _SLOTS * _SLOT_SIZE
+
+    def __init__(self, memory: memoryview) -> None:
+        self._ends = memory[:16].cast("q")  # written, read
+        self._slots = memory[16 : self.SIZE]
+        self.overruns = 0
+
+    def put(self, frame: Frame) -> bool:
+        """Append ``frame``; False when the ring is full, as a controller's buffer would overrun."""
+        ends = self._ends
+        if ends[0] - ends[1] >= _SLOTS:
+            self.overruns += 1
+            return False
+        at = ends[0] % _SLOTS * _SLOT_SIZE
+        flags = (_FD if frame.fd else 0) | (_BRS if frame.brs else 0) | (_EXTENDED if frame.extended else 0)
+        data = frame.data
+        _SLOT.pack_into(self._slots, at, frame.id, flags, len(data))
+        self._slots[at + _SLOT.size : at + _SLOT.size + len(data)] = data
+        ends[0] += 1
+        return True
+
+    def take(self) -> list[Frame]:
+        """All frames that wait, oldest first."""
+        ends = self._ends
+        if ends[0] == ends[1]:
+            return []
+        frames = []
+        while ends[1] < ends[0]:
+            at = ends[1] % _SLOTS * _SLOT_SIZE
+            identifier, flags, length = _SLOT.unpack_from(self._slots, at)
+            data = bytes(self._slots[at + _SLOT.size : at + _SLOT.size + length])
+            frames.append(Frame(identifier, data, bool(flags & _FD), bool(flags & _BRS), bool(flags & _EXTENDED)))
+            ends[1] += 1
+        return frames
+
+
+class ShmPort:
+    """A port in ``SIZE`` bytes of shared memory. The firmware's side (``firmware=True``) is the mirror image."""
+
+    SIZE = 2 * _Ring.SIZE
+
+    def __init__(self, memory: memoryview, firmware: bool = False) -> None:
+        down, up = _Ring(memory[: _Ring.SIZE]), _Ring(memory[_Ring.SIZE : self.SIZE])
+        self._outgoing, self._incoming = (up, down) if firmware else (down, up)
+
+    def send_frame(self, frame: Frame) -> bool:
+        """Hand ``frame`` to the other side; False when it does not take any more."""
+        return self._outgoing.put(frame)
+
+    def recv_frames(self) -> list[Frame]:
+        """Frames from the other side."""
+        return self._incoming.take()
+
+
+# --- sockets ------------------------------------------------------------------------------------------------------
+
+
+def _address(run: str, channel: str) -> str:
+    return f"\0{_PREFIX}/{os.getuid()}/{run}/{channel}"
+
+
+def _peer_uid(connection: socket.socket) -> int:
+    credentials = connection.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, struct.calcsize("3i"))
+    return struct.unpack("3i", credentials)[1]
+
+
+class PortServer:
+    """Serves one bus to other processes of the same user, at an abstract address that vanishes with the process."""
+
+    def __init__(self, channel: str, run: str, endpoint: str | None = None) -> None:
+        self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        self._listener.setblocking(False)
+        try:
+            self._listener.bind(_address(run, channel))
+        except OSError:
+            self._listener.close()
+            raise PortError(f"a run named {run!r} serves {channel!r} already") from None
+        self._listener.listen(_BACKLOG)
+        self._hello = json.dumps({"version": VERSION, "run": run, "channel": channel, "endpoint": endpoint}).encode()
+        self._clients: list[socket.socket] = []
+        self.overruns = 0  # frames that a slow client missed
+        self.malformed = 0
+
+    @property
+    def clients(self) -> int:
+        return len(self._clients)
+
+    def poll(self) -> list[Frame]:
+        """Let new clients in; return the frames that clients sent. Never blocks."""
+        with contextlib.suppress(BlockingIOError, ConnectionError):
+            while True:
+                client, _ = self._listener.accept()
+                if _peer_uid(client) != os.getuid():
+                    client.close()
+                    continue
+                client.setblocking(False)
+                with contextlib.suppress(OSError):
+                    client.send(self._hello)
+                self._clients.append(client)
+        frames: list[Frame] = []
+        for client in list(self._clients):
+            for _ in range(64):  # a client that floods must not stop the run
+                try:
+                    record = client.recv(RECORD_SIZE + 1)
+                except BlockingIOError:
+                    break
+                except OSError:
+                    record = b""
+                if not record:
+                    self._drop(client)
+                    break
+                try:
+                    frames.append(unpack_frame(record)[2])
+                except MalformedRecordError:
+                    self.malformed += 1
+        return frames
+
+    def broadcast(self, time_ns: int, sender: int, frame: Frame) -> None:
+        """Send ``frame`` to all clients; one that does not keep up misses it."""
+        record = pack_frame(frame, time_ns, sender)
+        for client in list(self._clients):
+            try:
+                client.send(record)
+            except BlockingIOError:
+                self.overruns += 1
+            except OSError:
+                self._drop(client)
+
+    def _drop(self, client: socket.socket) -> None:
+        self._clients.remove(client)
+        client.close()
+
+    def close(self) -> None:
+        for client in self._clients:
+            client.close()
+        self._clients.clear()
+        self._listener.close()
+
+
+def served() -> list[tuple[str, str]]:
+    """(run, channel) of every bus that this user's processes serve."""
+    pattern = re.compile(rf"@{_PREFIX}/{os.getuid()}/(.+)/([^/@]+)$")
+    found = set()
+    with open("/proc/net/unix", encoding="utf-8", errors="replace") as table:
+        for line in table:
+            match = pattern.search(line.rstrip("\n").rstrip("@"))
+            if match:
+                found.add((match.group(1), match.group(2)))
+    return sorted(found)
+
+
+def connect(channel: str) -> tuple[socket.socket, dict[str, Any]]:
+    """Attach to ``channel`` ("left_leg", or "RUN/left_leg" when several runs go on). Returns socket and hello.
+
+    Raises PortError with what there is.
+    """
+    there = served()
+    run, _, name = channel.rpartition("/")
+    matches = [(r, c) for r, c in there if c == name and (not run or r == run)]
+    if not matches:
+        listed = ", ".join(f"{r}/{c}" for r, c in there) or "none"
+        raise PortError(f"no running emulation serves a bus {channel!r}; there is: {listed}")
+    if len(matches) > 1:
+        raise PortError(f"several runs serve {name!r}, name one: {', '.join('/'.join(m) for m in matches)}")
+    connection = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    connection.settimeout(2.0)
+    try:
+        connection.connect(_address(*matches[0]))
+        if _peer_uid(connection) != os.getuid():
+            raise PortError(f"{channel!r} is served by another user")
+        hello = json.loads(connection.recv(4096))
+    except (OSError, ValueError) as error:
+        connection.close()
+        raise PortError(f"{channel!r} does not answer ({error})") from None
+    if hello.get("version") != VERSION:
+        connection.close()
+        raise PortError(f"{channel!r} speaks version {hello.get('version')}, this is {VERSION}")
+    return connection, hello
+
+
+def find_runs() -> dict[str, dict[str, Any]]:
+    """The hello of every run of this user by its name."""
+    runs: dict[str, dict[str, Any]] = {}
+    for run, channel in served():
+        if run in runs:
+            continue
+        with contextlib.suppress(PortError):
+            connection, hello = connect(f"{run}/{channel}")
+            connection.close()
+            runs[run] = hello
+    return runs

@@ -1,0 +1,113 @@
+"""The verdict: what makes a run unstable, and which of it came first."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from bus.messages import Statusword
+from robots.quantities import Config, Gain, Metres, Radians, Seconds
+
+if TYPE_CHECKING:
+    from hil.scenario import Scenario
+    from hil.signals import Signals
+
+
+class VerdictConfig(Config):
+    """Limits of a stable run."""
+
+    settle: Seconds = 1.5  # errors count from here on
+    com_error: Metres = 0.05
+    orientation_error: Radians = 0.26
+    foot_slip: Metres = 0.03
+    fall_height: Gain = 0.6  # share of the CoM's height at the start below which the robot has fallen
+    growth_rate: Gain = 0.2  # 1/s of an oscillation
+    growth_amplitude: Metres = 0.005  # from which a growing oscillation counts (m or rad)
+
+
+@dataclass(frozen=True)
+class Verdict:
+    stable: bool
+    reason: str
+    metrics: dict[str, Any]
+
+
+class Monitor:
+    """Watches a run while it goes on, so that one that has failed ends with its reason instead of its duration."""
+
+    def __init__(self, limits: VerdictConfig, channels: Mapping[str, Sequence[str]]) -> None:
+        self._limits = limits
+        world, controller = list(channels["world"]), list(channels["controller"])
+        self._drives = list(channels["drives"])
+        self._n = len(self._drives) // 3
+        self._com = [world.index(f"com.{axis}") for axis in "xz"]
+        self._hoist = world.index("hoist")
+        self._angles = [world.index("base.roll"), world.index("base.pitch")]
+        self._feet = [world.index(n) for n in world if n.startswith("foot.") and n.endswith(".x")]
+        self._feet_names = [world[i].split(".")[1] for i in self._feet]
+        self._reference = [controller.index(f"com_reference.{axis}") for axis in "xz"]
+        self._phase = controller.index("phase")
+        self._height: float | None = None
+        self._stood: list[np.ndarray] | None = None
+
+    def check(self, now_ns: int, world: np.ndarray, controller: np.ndarray, drives: np.ndarray) -> str | None:
+        """One sentence when the run has failed by now, else None."""
+        limits, time = self._limits, now_ns * 1e-9
+        height = world[self._com[1]]
+        if self._height is None:
+            self._height = height
+        if not math.isfinite(height):
+            return f"the simulation diverged at {time:.2f} s"
+        if height < limits.fall_height * self._height:
+            return f"fallen: CoM at {height:.2f} m, {100 * height / self._height:.0f} % of its start, at {time:.2f} s"
+        for joint in range(self._n):
+            status = int(drives[joint]) & Statusword.MASK
+            if status in (Statusword.FAULT, Statusword.QUICK_STOP_ACTIVE, Statusword.FAULT_REACTION_ACTIVE):
+                name = self._drives[joint].partition(".")[2]
+                what = "quick stop" if status == Statusword.QUICK_STOP_ACTIVE else "fault"
+                return f"drive in {what}: {name}, error code …{int(drives[self._n + joint]):02X}h, at {time:.2f} s"
+        if world[self._hoist] > 0:
+            return None
+        if self._stood is None:
+            self._stood = [world[i : i + 3].copy() for i in self._feet]
+        for name, start, i in zip(self._feet_names, self._stood, self._feet, strict=True):
+            slip = math.dist(world[i : i + 3], start)
+            if slip > limits.foot_slip:
+                return f"foot slipped: {name} by {1e3 * slip:.0f} mm (limit {1e3 * limits.foot_slip:.0f} mm) at {time:.2f} s"
+        if time < limits.settle:
+            return None
+        error = math.dist(world[self._com], controller[self._reference])
+        if error > limits.com_error:
+            return f"CoM error {1e3 * error:.0f} mm beyond {1e3 * limits.com_error:.0f} mm at {time:.2f} s"
+        angle = float(np.abs(world[self._angles]).max())
+        if angle > limits.orientation_error:
+            return f"torso tilted by {math.degrees(angle):.1f}° (limit {math.degrees(limits.orientation_error):.0f}°) at {time:.2f} s"
+        return None
+
+
+def judge(tables: Mapping[str, Signals], scenario: Scenario, stopped: str | None) -> Verdict:
+    """Verdict and metrics of a finished run; ``stopped`` is what the monitor ended it for."""
+    from hil.metrics import compute_metrics
+
+    limits = scenario.limits
+    if not len(tables["world"]) or not len(tables["controller"]):
+        return Verdict(False, "nothing was simulated", {})
+    metrics = compute_metrics(tables, settle=limits.settle, terrain=scenario.terrain)
+    if stopped is not None:
+        return Verdict(False, stopped, metrics)
+    for name, oscillation in (metrics.get("oscillation") or {}).items():
+        if oscillation is None:
+            continue
+        rate, amplitude = oscillation["growth_rate"], oscillation["amplitude"]
+        if rate is not None and rate > limits.growth_rate and amplitude > limits.growth_amplitude:
+            return Verdict(
+                False, f"growing oscillation of {name} at {oscillation['frequency']:.1f} Hz, {rate:.2f} 1/s", metrics
+            )
+    phase = tables["controller"]["phase"][-1]
+    if scenario.duration > limits.settle and phase < 3:
+        return Verdict(False, "the drives were never all switched on", metrics)
+    return Verdict(True, "stood to the end within all limits", metrics)
