@@ -39,7 +39,7 @@ class PathConfig(Config):
     semi_x: Metres = 0.0
     semi_z: Metres = 0.0
     period: Seconds = 4.0
-    start: Seconds = 1.5  # from the start of the run
+    start: Seconds = 2.5  # from the start of the run
 
 
 class ControllerConfig(Config):
@@ -51,7 +51,7 @@ class ControllerConfig(Config):
     variant: str | None = None  # masses of the controller's model, if not the robot's description
     velocity_cutoff: Hertz = 60.0  # of joint velocities
     orientation_time_constant: Seconds = 2.0  # of the accelerometer's correction of the integrated gyro
-    enable_at: Seconds = 0.05  # when the drives are switched on
+    enable_at: Seconds = 0.6  # when the drives are switched on; the robot hangs still until then
     weight_ramp: Seconds = 0.2  # torques grow from nothing over this time
     tasks: TaskSetConfig = TaskSetConfig()
     internal_force: InternalForceConfig = InternalForceConfig()

@@ -11,6 +11,7 @@ import pinocchio as pin
 from central_controller.config import ControllerConfig
 from central_controller.model import RobotModel
 
+_STILL_AFTER = 0.3  # s from the first sample: the robot has come to rest on the hoist
 _YAW_TIME_CONSTANT = 0.5  # s, of the correction by the line between the feet
 
 
@@ -19,7 +20,7 @@ class BaseEstimator:
     between the standing feet pulls yaw. Position and velocity follow from both feet standing still. The origin is
     the midpoint of the feet's centres.
 
-    The gyro's zero is the mean of its samples until ``calibrated`` (the robot hangs still then).
+    The gyro's zero is the mean of its samples while the robot hangs still.
     """
 
     def __init__(self, model: RobotModel, config: ControllerConfig) -> None:
@@ -30,23 +31,31 @@ class BaseEstimator:
         self._blend = 1.0 - math.exp(-2.0 * math.pi * config.velocity_cutoff * self._dt)
         self.rotation = np.eye(3)  # base to world
         self.q, self.v = np.zeros(model.nq), np.zeros(model.nv)
+        self._still_after = round(_STILL_AFTER * config.rate)  # samples
+        self._bias = np.zeros(3)  # of the gyro, rad/s
         self._sums = np.zeros(6)  # gyro and specific force while hanging
-        self._count = 0
+        self._seen = 0  # samples while hanging
+        self._count = 0  # of these, those that count
         self._line: float | None = None  # heading of the line between the feet
         self._dq = np.zeros(model.nv - 6)
 
     def hang(self, gyro: np.ndarray, force: np.ndarray) -> None:
         """Take a sample while the robot hangs still: zero of the gyro, and where down is."""
+        self._seen += 1
+        if self._seen <= self._still_after:  # what came so far was still swinging
+            self._sums[:] = 0.0
+            self._count = 0
         self._sums[:3] += gyro
         self._sums[3:] += force
         self._count += 1
+        self._bias = self._sums[:3] / self._count
         up = self._sums[3:] / math.sqrt(self._sums[3:] @ self._sums[3:])
         pitch, roll = math.asin(-up[0]), math.atan2(up[1], up[2])
         self.rotation = pin.rpy.rpyToMatrix(roll, pitch, 0.0)
 
     def turn(self, gyro: np.ndarray, force: np.ndarray) -> None:
         """Integrate one sample of the IMU over one tick."""
-        rate = gyro - self._sums[:3] / max(self._count, 1)
+        rate = gyro - self._bias
         up_body = self.rotation[2]  # world's up in the base's frame
         size = math.sqrt(force @ force)
         if size > 1.0:
@@ -77,10 +86,11 @@ class BaseEstimator:
     def snapshot(self) -> dict[str, Any]:
         return {
             "rotation": self.rotation.copy(), "q": self.q.copy(), "v": self.v.copy(), "sums": self._sums.copy(),
-            "count": self._count, "line": self._line, "dq": self._dq.copy(),
+            "count": (self._seen, self._count), "line": self._line, "dq": self._dq.copy(), "bias": self._bias.copy(),
         }  # fmt: skip
 
     def restore(self, state: dict[str, Any]) -> None:
         self.rotation = state["rotation"].copy()
         self.q[:], self.v[:], self._sums[:], self._dq[:] = state["q"], state["v"], state["sums"], state["dq"]
-        self._count, self._line = state["count"], state["line"]
+        (self._seen, self._count), self._line = state["count"], state["line"]
+        self._bias = state["bias"].copy()

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 class VerdictConfig(Config):
     """Limits of a stable run."""
 
-    settle: Seconds = 1.5  # errors count from here on
+    settle: Seconds = 2.5  # errors count from here on
     com_error: Metres = 0.05
     orientation_error: Radians = 0.26
     foot_slip: Metres = 0.03
@@ -102,7 +102,7 @@ def judge(tables: Mapping[str, Signals], scenario: Scenario, stopped: str | None
     for name, oscillation in (metrics.get("oscillation") or {}).items():
         if oscillation is None:
             continue
-        rate, amplitude = oscillation["growth_rate"], oscillation["amplitude"]
+        rate, amplitude = oscillation["growth"], oscillation["amplitude"]
         if rate is not None and rate > limits.growth_rate and amplitude > limits.growth_amplitude:
             return Verdict(
                 False, f"growing oscillation of {name} at {oscillation['frequency']:.1f} Hz, {rate:.2f} 1/s", metrics

@@ -7,12 +7,21 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from robots.quantities import (
-    Config, Gain, Hertz, Kilograms, Metres, Newtons, Radians, Seconds, TorquePerRadian, TorquePerRate,
-)  # fmt: skip
+    Config,
+    Gain,
+    Hertz,
+    Kilograms,
+    Metres,
+    Newtons,
+    Radians,
+    Seconds,
+    TorquePerRadian,
+    TorquePerRate,
+)
 
 
 class TerrainConfig(Config):
-    """Ground under the feet. ``split``: two panels that face each other, one under each foot (Kim 2018 Fig. 5.3)."""
+    """Ground under the feet. ``split``: panels that face each other, one per foot (Kim 2018 Fig. 5.3)."""
 
     kind: Literal["flat", "split"] = "flat"
     panel_angle: Annotated[Radians, Field(ge=0, lt=1.4)] = 0.0  # of each panel from the horizontal
@@ -39,7 +48,7 @@ class PlanarizerConfig(Config):
 class HoistConfig(Config):
     """Supports the torso while the drives start, then lowers it."""
 
-    hold: Seconds = 0.3
+    hold: Seconds = 1.0
     release: Seconds = 0.5  # linear, from full support to none
 
 

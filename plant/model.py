@@ -2,7 +2,7 @@
 
 Generalised coordinates: the base's, then the joints in the robot's order. The base is a free joint (position,
 quaternion), or with the planarizer [slider x, z, roll, pitch], all zero at the world's origin, torso upright.
-Rotors, springs and actuator friction are not here but in ``plant.sea``: a joint takes its torque as applied force.
+Rotors, springs and actuator friction are in ``plant.sea``: a joint takes its torque as applied force.
 """
 
 from __future__ import annotations
@@ -17,9 +17,10 @@ from plant.config import PlanarizerConfig, TerrainConfig
 from plant.stance import Array, Stance
 from robots.description import Link, Robot
 
-# Contact, tuned by measurement: feet that carry the robot and are pulled sideways with 0.9 of the friction limit creep
-# by 0.03 mm/s and sink in by 0.02 mm (tests/plant/test_contact.py). Critically damped; the impedance is high and does
-# not depend on depth; friction is made stiffer than the normal direction, else the feet creep by millimetres a second.
+# Contact, tuned by measurement: feet that carry the robot and are pulled sideways with 0.9 of the friction
+# limit creep by less than 0.1 mm/s and sink in by 0.02 mm (tests/plant/test_contact.py). Critically damped;
+# the impedance is high and does not depend on depth; friction is stiffer than the normal direction, else the feet
+# creep by millimetres a second.
 CONTACT_TIME_CONSTANT = 2e-3  # s; MuJoCo needs at least two time steps
 CONTACT_IMPEDANCE = (0.98, 0.98, 1e-3, 0.5, 2.0)
 FRICTION_TO_NORMAL_IMPEDANCE = 100.0
@@ -43,10 +44,10 @@ def build(
 ) -> mujoco.MjModel:
     """Build the model. ``rate``: physics steps per second. The terrain just touches the feet of ``stance``.
 
-    Sensors, in this order in ``sensordata`` (3 numbers each unless said): base (torso frame's origin), com and
-    com_velocity (of the robot without slider), feet's centres, contacts (force of the foot on the terrain, N, of the
-    last step), gyro, accelerometer, torso_com, torso_velocity, torso_rate (of the torso's centre of mass, world
-    frame), torso_contact (1, number of contacts). Raises TerrainError.
+    Sensors, in this order in ``sensordata`` (3 numbers each unless said): base (torso frame's origin), com
+    and com_velocity (of the robot without slider), feet's centres, contacts (force of the foot on the
+    terrain, N, of the last step), gyro, accelerometer, torso_com, torso_velocity, torso_rate (of the torso's
+    centre of mass, world frame), torso_contact (1, number of contacts). Raises TerrainError.
     """
     spec = mujoco.MjSpec()
     spec.modelname = robot.name
@@ -62,8 +63,9 @@ def build(
     option.ls_iterations = 20
     option.tolerance = 1e-10
     option.impratio = FRICTION_TO_NORMAL_IMPEDANCE
-    # Islands and mid phase have nothing to gain here. Automatic reset would hide a diverged run. Implicit joint damping
-    # would be unknown to the contact solver, which assumes the explicit step: with stiff contacts the feet chatter.
+    # Islands and mid phase have nothing to gain here. Automatic reset would hide a diverged run. Implicit
+    # joint damping would be unknown to the contact solver, which assumes the explicit step: with stiff contacts the
+    # feet chatter.
     flag = mujoco.mjtDisableBit
     option.disableflags = int(
         flag.mjDSBL_ISLAND | flag.mjDSBL_MIDPHASE | flag.mjDSBL_AUTORESET | flag.mjDSBL_EULERDAMP
@@ -98,7 +100,8 @@ def _base(spec: mujoco.MjSpec, robot: Robot, planarizer: PlanarizerConfig) -> An
         torso = spec.worldbody.add_body(name=robot.base.name)
         torso.add_freejoint(name="base")
     else:
-        slider = spec.worldbody.add_body(name="slider", mass=max(planarizer.slider_mass, 1e-6), explicitinertial=True)
+        mass = max(planarizer.slider_mass, 1e-6)
+        slider = spec.worldbody.add_body(name="slider", mass=mass, explicitinertial=True)
         slider.inertia = np.full(3, 1e-3)  # it does not turn
         slider.add_joint(name="slider_x", type=slide, axis=[1.0, 0.0, 0.0])
         visuals.slider(slider)
@@ -110,7 +113,7 @@ def _base(spec: mujoco.MjSpec, robot: Robot, planarizer: PlanarizerConfig) -> An
         torso.add_joint(name="base_pitch", type=hinge, axis=[0.0, 1.0, 0.0])
     _inertial(torso, robot.base)
     torso.add_site(name="imu", pos=list(robot.imu.position), size=[0.01, 0.01, 0.01])
-    # What touches the ground when the robot falls: from the hips to as far above the centre of mass as they are below.
+    # What touches the ground in a fall: from the hips to as far above the centre of mass as they are below.
     height = 2.0 * robot.base.com[2]
     _collider(torso.add_geom(
         name="torso", type=mujoco.mjtGeom.mjGEOM_CAPSULE, size=[0.09, 0.0, 0.0],
@@ -155,7 +158,7 @@ def _terrain(spec: mujoco.MjSpec, robot: Robot, stance: Stance, terrain: Terrain
         surfaces.append(visuals.floor(spec, floor))
     else:
         if stance.feet[0, 0] <= stance.feet[1, 0]:
-            raise TerrainError("split terrain needs the right foot in front of the left: set stance.feet_apart > 0")
+            raise TerrainError("split terrain needs the right foot in front: set stance.feet_apart > 0")
         normals = panel_normals(terrain.panel_angle)
         points = stance.feet - robot.foot_radius * normals
         middle = 0.5 * float(points[0, 0] + points[1, 0])
@@ -197,4 +200,5 @@ def _sensors(spec: mujoco.MjSpec, robot: Robot) -> None:
     add("torso_com", kind.mjSENS_FRAMEPOS, thing.mjOBJ_BODY, torso)
     add("torso_velocity", kind.mjSENS_FRAMELINVEL, thing.mjOBJ_BODY, torso)
     add("torso_rate", kind.mjSENS_FRAMEANGVEL, thing.mjOBJ_BODY, torso)
-    add("torso_contact", kind.mjSENS_CONTACT, thing.mjOBJ_GEOM, "torso", [1 << data.mjCONDATA_FOUND.value, 0, 1])
+    found = 1 << data.mjCONDATA_FOUND.value
+    add("torso_contact", kind.mjSENS_CONTACT, thing.mjOBJ_GEOM, "torso", [found, 0, 1])

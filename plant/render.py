@@ -22,7 +22,7 @@ def frames(
         renderer = mujoco.Renderer(model, height, width)
     except Exception as error:
         raise RenderError(
-            f"no off-screen OpenGL ({error}); on Debian: apt-get install libegl1 libgl1-mesa-dri"
+            f"no off-screen OpenGL ({str(error).splitlines()[0] if str(error) else type(error).__name__}); on Debian: apt-get install libegl1 libgl1-mesa-dri"
         ) from None
     data = mujoco.MjData(model)
     camera = 0 if model.ncam else -1

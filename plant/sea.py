@@ -4,9 +4,10 @@ Everything is seen from the joint: a rotor of inertia J at angle theta drives th
 
     tau_s = k (theta − q) + d (dtheta − dq),      J ddtheta = tau_m − tau_s − b dtheta − friction
 
-The step is semi-implicit Euler, as MuJoCo's: the spring's torque at the start of the step acts on both sides, so the
-coupled oscillation neither gains nor loses energy by itself. Dry friction is set-valued and implicit: a rotor at rest
-stays exactly there up to the static level; a sliding one is slowed, never reversed, by the friction of a step.
+The step is semi-implicit Euler, as MuJoCo's: the spring's torque at the start of the step acts on both sides,
+so the coupled oscillation neither gains nor loses energy by itself. Dry friction is set-valued and implicit:
+a rotor at rest stays exactly there up to the static level; a sliding one is slowed, never reversed, by the
+friction of a step.
 """
 
 from __future__ import annotations
@@ -72,15 +73,15 @@ class SeriesElasticActuators:
         self._damping = np.array([a.damping for a in actuators])
         parameters = np.array([
             [a.stiffness, a.damping, a.rotor_inertia, a.torque_per_ampere, a.current_limit,
-             a.coulomb * friction_scale, a.static * friction_scale, a.load_friction * friction_scale, a.viscous]
+             *(friction_scale * f for f in (a.coulomb, a.static, a.load_friction)), a.viscous]
             for a in actuators
         ])  # fmt: skip
         self._p = np.asfortranarray(parameters).ravel(order="F")
         self._buffer, self._evaluate = compile(rotor_step(n, dt)).buffer()
         for index, array in enumerate((self._rotor, self.current, self._joint, self._p)):
-            self._buffer.set_arg(index, memoryview(array))
+            self._buffer.set_arg(index, memoryview(array))  # type: ignore[call-arg, arg-type]
         for index, array in enumerate((self._next, self.torque)):
-            self._buffer.set_res(index, memoryview(array))
+            self._buffer.set_res(index, memoryview(array))  # type: ignore[call-arg, arg-type]
 
     @property
     def theta(self) -> np.ndarray:
@@ -102,7 +103,7 @@ class SeriesElasticActuators:
         return self._stiffness * (self.theta - q) + self._damping * (self.dtheta - dq)
 
     def step(self, q: np.ndarray, dq: np.ndarray) -> np.ndarray:
-        """Advance the rotors by one step with ``current``; returns the torque to apply on the joints meanwhile."""
+        """Advance the rotors by one step with ``current``; returns the torque on the joints, N m."""
         self._joint[: self._n] = q
         self._joint[self._n :] = dq
         self._evaluate()

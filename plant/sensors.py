@@ -28,7 +28,7 @@ class JointSensors:
     def write(
         self, inputs: np.ndarray, theta: np.ndarray, q: np.ndarray, current: np.ndarray, loads: np.ndarray
     ) -> None:
-        """Fill ``inputs`` (n, N_INPUTS) int32 from rotor and joint angles [rad], currents [A] and foot loads [N]."""
+        """Fill ``inputs`` (n, N_INPUTS) int32 from rotor and joint angles, currents, foot loads [SI]."""
         inputs[:, pins.MOTOR_ENCODER] = np.rint(self._encoder * theta)
         inputs[:, pins.SPRING_ENCODER] = np.rint(self._spring * (theta - q))
         inputs[:, pins.CURRENT_ADC] = np.rint(current / pins.AMPERE_PER_COUNT)
@@ -41,7 +41,9 @@ class JointSensors:
 class ImuSensor:
     """Gyroscope and accelerometer with white noise and a bias that is constant over a run."""
 
-    def __init__(self, robot: Robot, config: SensorConfig, rate: float, streams: Callable[[str], Any]) -> None:
+    def __init__(
+        self, robot: Robot, config: SensorConfig, rate: float, streams: Callable[[str], Any]
+    ) -> None:
         self._imu = robot.imu
         # a continuous-time density becomes a discrete deviation: divide the variance by the sample period
         self._gyro_deviation = config.noise * robot.imu.gyro_noise_density * rate**0.5

@@ -1,4 +1,4 @@
-"""Initial configuration: torso upright, the feet where the stance wants them, the centre of mass above their middle."""
+"""Initial configuration: torso upright, feet where the stance wants them, centre of mass above their middle."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class Stance:
     """Where the robot starts, in the world frame (origin: midpoint of the two foot centres, z up, x forward).
 
     ``torso``: (3,) position of the torso frame's origin [m], whose axes are parallel to the world's.
-    ``joints``: (n,) joint angles [rad] in the robot's order. ``feet``: (2, 3) foot centres [m], right then left.
+    ``joints``: (n,) joint angles [rad], robot's order. ``feet``: (2, 3) foot centres [m], right then left.
     """
 
     torso: Array
@@ -66,7 +66,7 @@ def _forward(joints: list[Joint], angles: Array, tip: tuple[float, float, float]
 
 
 def _leg(robot: Robot, foot: Foot, target: Array) -> Array:
-    """Joint angles that put ``foot`` at ``target`` (3,) in the torso frame, with the last joint's angle positive."""
+    """Joint angles that put ``foot`` at ``target`` (3,) in the torso frame, the last one positive."""
     joints = [robot.joints[i] for i in chain(robot, foot)]
     angles = np.zeros(len(joints))
     angles[-1], angles[-2] = 1.2, -0.6  # bent this way, Newton's method finds the solution on this side
@@ -86,7 +86,7 @@ def _leg(robot: Robot, foot: Foot, target: Array) -> Array:
             damping *= 10.0
     else:
         raise StanceError(
-            f"the {foot.name} cannot reach its place: it is {float(np.linalg.norm(target - point)) * 1e3:.1f} mm short; "
+            f"the {foot.name} is {float(np.linalg.norm(target - point)) * 1e3:.1f} mm short of its place; "
             "lower stance.hip_height or bring the feet closer (stance.feet_apart, stance.feet_width)"
         )
     for joint, angle in zip(joints, angles, strict=True):
@@ -121,8 +121,8 @@ def hip_offset(robot: Robot) -> float:
 def initial(robot: Robot, config: StanceConfig) -> Stance:
     """The configuration of ``config``, knees bent towards positive angles.
 
-    ``robot`` has two feet, right then left. Fore and aft the torso is placed so that the centre of mass is above the
-    origin: two point feet abreast carry no moment about the axis through them.
+    ``robot`` has two feet, right then left. Fore and aft the torso is placed so that the centre of mass is
+    above the origin: two point feet abreast carry no moment about the axis through them.
 
     Raises StanceError when a foot is out of reach or a joint would be beyond its limits.
     """

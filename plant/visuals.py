@@ -21,8 +21,9 @@ _WOOD = [0.80, 0.62, 0.40, 1.0]
 
 def _show(body: Any, kind: Any, size: list[float], rgba: list[float], **place: Any) -> Any:
     return body.add_geom(
-        type=kind, size=[*size, 0.0, 0.0, 0.0][:3], rgba=rgba, contype=0, conaffinity=0, group=1, mass=0.0, **place
-    )
+        type=kind, size=[*size, 0.0, 0.0, 0.0][:3], rgba=rgba, contype=0, conaffinity=0, group=1, mass=0.0,
+        **place,
+    )  # fmt: skip
 
 
 def _capsule(body: Any, start: Array, end: Array, radius: float, rgba: list[float]) -> None:
@@ -71,12 +72,13 @@ def _camera(spec: mujoco.MjSpec, name: str, position: Array, target: Array) -> N
 def floor(spec: mujoco.MjSpec, height: float) -> Any:
     """The floor, a plane at ``height`` [m]."""
     return spec.worldbody.add_geom(
-        name="floor", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0.0, 0.0, 0.5], pos=[0.0, 0.0, height], material="tiles"
-    )
+        name="floor", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0.0, 0.0, 0.5], pos=[0.0, 0.0, height],
+        material="tiles",
+    )  # fmt: skip
 
 
 def panel(spec: mujoco.MjSpec, name: str, point: Array, normal: Array, edge: float) -> Any:
-    """A wooden panel whose upper face passes through ``point`` with ``normal``; its lower edge is at x = ``edge``."""
+    """A wooden panel: its upper face passes through ``point`` with ``normal``, its lower edge is at x = ``edge``."""
     thickness, width, beyond = 0.018, 0.45, 0.32
     down = float(np.sign(edge - point[0]))
     slope = np.array([down * normal[2], 0.0, -down * normal[0]])  # along the panel towards its lower edge

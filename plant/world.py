@@ -18,7 +18,7 @@ from plant.sensors import ImuSensor, JointSensors
 from robots import description, pins
 from robots.description import Robot
 
-# The hoist carries the robot's weight; its stiffness and damping keep the torso within a millimetre meanwhile.
+# The hoist carries the robot's weight; its stiffness and damping keep the torso in place meanwhile.
 _HOIST_LINEAR = (2e4, 1.5e3)  # N/m, N s/m
 _HOIST_ANGULAR = (2e3, 1e2)  # N m/rad, N m s/rad
 
@@ -30,7 +30,7 @@ def _identity(function: ca.Function) -> ca.Function:
 class World:
     """Physics of one robot on its terrain.
 
-    ``pins_in`` and ``pins_out`` are the drives' pins, int32 (joints, ``robots.pins.N_INPUTS`` or ``N_OUTPUTS``).
+    ``pins_in`` and ``pins_out`` are the drives' pins, int32 (joints, ``N_INPUTS`` or ``N_OUTPUTS``).
     Origin: the midpoint of the feet's centres at the start; x forward, z up.
     """
 
@@ -93,7 +93,7 @@ class World:
         """Simulated time, s."""
         return self._steps * self._dt
 
-    # --- what the calendar calls ----------------------------------------------------------------------------------
+    # --- what the calendar calls --------------------------------------------------------------------------
 
     def sample(self) -> None:
         """Write the drives' input pins from the present state."""
@@ -102,7 +102,7 @@ class World:
         self._joint_sensors.write(self.pins_in, actuators.theta, self._q, actuators.current, loads)
 
     def latch(self) -> None:
-        """Let the drives' output pins take effect from now on. The power stages saturate at the current limits."""
+        """Let the drives' output pins take effect from now on; currents saturate at their limits."""
         current = self._actuators.current
         np.multiply(self.pins_out[:, pins.CURRENT_DEMAND], pins.AMPERE_PER_COUNT, out=current)
         np.minimum(current, self._limits, out=current)
@@ -116,7 +116,7 @@ class World:
         self._hoist_base(self._hoist(now))
         if self._pushes:
             self._push[:3] = self._push_force(now + 0.5 * self._dt)  # mid-step: the impulse is exact
-        # the second half of this step, then the first half of the next: what was sensed belongs to the new state
+        # the second half of this step, then the first of the next: positions sensed are of the new state
         mujoco.mj_step2(self.model, self.data)
         self._steps += 1
         mujoco.mj_step1(self.model, self.data)
@@ -150,7 +150,7 @@ class World:
         """Whether the torso touches the ground."""
         return bool(self._sensed[36] > 0)
 
-    # --- inside ---------------------------------------------------------------------------------------------------
+    # --- inside -------------------------------------------------------------------------------------------
 
     def _name_truth(self) -> list[str]:
         joints = self.robot.joint_names
@@ -161,7 +161,8 @@ class World:
         ]
         names += [f"base.{axis}" for axis in ("x", "y", "z", "roll", "pitch", "yaw")]
         names += [f"{what}.{axis}" for what in ("com", "com_velocity") for axis in "xyz"]
-        names += [f"{what}.{f.name}.{axis}" for what in ("foot", "contact") for f in self.robot.feet for axis in "xyz"]
+        feet = [foot.name for foot in self.robot.feet]
+        names += [f"{what}.{foot}.{axis}" for what in ("foot", "contact") for foot in feet for axis in "xyz"]
         names += ["internal_force", "push.x", "push.y", "push.z", "hoist"]
         return names + [f"qpos.{i}" for i in range(self.model.nq)]
 
@@ -204,7 +205,7 @@ class World:
                 total += force * (min(inside / push.ramp, 1.0) if push.ramp > 0 else 1.0)
         return total
 
-    # --- state ----------------------------------------------------------------------------------------------------
+    # --- state --------------------------------------------------------------------------------------------
 
     def snapshot(self) -> dict[str, Any]:
         state = np.empty(self._state_size)

@@ -1,4 +1,4 @@
-"""The IMU's sample as it travels: six 16-bit counts, angular velocity then specific force, in the sensor's frame."""
+"""The IMU's sample on its wire: six 16-bit counts, angular velocity then specific force, sensor frame."""
 
 from __future__ import annotations
 
