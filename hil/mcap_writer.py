@@ -178,11 +178,14 @@ class McapWriter:
         ):
             group = b"".join(_encode(record) for record in records)
             if group:
-                offsets += _encode(SummaryOffset(len(group), opcode, start + len(summary)))
+                offsets += _encode(
+                    SummaryOffset(group_opcode=opcode, group_start=start + len(summary), group_length=len(group))
+                )
             summary += group
-        footer = Footer(start, start + len(summary), 0)
+        footer = Footer(summary_start=start, summary_offset_start=start + len(summary), summary_crc=0)
         crc = zlib.crc32(summary + offsets + _encode(footer)[:-4])  # of all before the checksum itself
-        self._write(summary + offsets + _encode(Footer(start, start + len(summary), crc)) + MCAP0_MAGIC)
+        footer = Footer(summary_start=start, summary_offset_start=start + len(summary), summary_crc=crc)
+        self._write(summary + offsets + _encode(footer) + MCAP0_MAGIC)
         self._file.close()
 
     def _write(self, data: bytes) -> None:

@@ -17,10 +17,10 @@ from plant.config import PlanarizerConfig, TerrainConfig
 from plant.stance import Array, Stance
 from robots.description import Link, Robot
 
-# Contact, tuned by measurement: feet that carry the robot and are pulled sideways with 0.9 of the friction
-# limit creep by less than 0.1 mm/s and sink in by 0.02 mm (tests/plant/test_contact.py). Critically damped;
-# the impedance is high and does not depend on depth; friction is stiffer than the normal direction, else the feet
-# creep by millimetres a second.
+# Contact, tuned by measurement: feet that carry the robot and are pulled sideways with 0.9 of the
+# friction limit creep by less than 0.1 mm/s and sink in by 0.02 mm (tests/plant/test_contact.py).
+# Critically damped; the impedance is high and does not depend on depth; friction is stiffer than the
+# normal direction, else the feet creep by millimetres a second.
 CONTACT_TIME_CONSTANT = 2e-3  # s; MuJoCo needs at least two time steps
 CONTACT_IMPEDANCE = (0.98, 0.98, 1e-3, 0.5, 2.0)
 FRICTION_TO_NORMAL_IMPEDANCE = 100.0
@@ -63,9 +63,9 @@ def build(
     option.ls_iterations = 20
     option.tolerance = 1e-10
     option.impratio = FRICTION_TO_NORMAL_IMPEDANCE
-    # Islands and mid phase have nothing to gain here. Automatic reset would hide a diverged run. Implicit
-    # joint damping would be unknown to the contact solver, which assumes the explicit step: with stiff contacts the
-    # feet chatter.
+    # Islands and mid phase have nothing to gain here. Automatic reset would hide a diverged run.
+    # Implicit joint damping would be unknown to the contact solver, which assumes the explicit step:
+    # with stiff contacts the feet chatter.
     flag = mujoco.mjtDisableBit
     option.disableflags = int(
         flag.mjDSBL_ISLAND | flag.mjDSBL_MIDPHASE | flag.mjDSBL_AUTORESET | flag.mjDSBL_EULERDAMP
@@ -104,7 +104,6 @@ def _base(spec: mujoco.MjSpec, robot: Robot, planarizer: PlanarizerConfig) -> An
         slider = spec.worldbody.add_body(name="slider", mass=mass, explicitinertial=True)
         slider.inertia = np.full(3, 1e-3)  # it does not turn
         slider.add_joint(name="slider_x", type=slide, axis=[1.0, 0.0, 0.0])
-        visuals.slider(slider)
         torso = slider.add_body(name=robot.base.name)
         torso.add_joint(name="base_z", type=slide, axis=[0.0, 0.0, 1.0])
         roll = torso.add_joint(name="base_roll", type=hinge, axis=[1.0, 0.0, 0.0])

@@ -15,14 +15,18 @@ class RenderError(RuntimeError):
 def frames(
     model: mujoco.MjModel, qpos_rows: Iterable[np.ndarray], width: int = 960, height: int = 540
 ) -> Iterator[np.ndarray]:
-    """RGB pictures (height, width, 3) uint8 of the robot at each row of generalised coordinates."""
+    """RGB pictures (height, width, 3) uint8 of the robot at each row of generalised coordinates.
+
+    Raises RenderError where there is no off-screen OpenGL.
+    """
     screen = model.vis.global_
     screen.offwidth, screen.offheight = max(screen.offwidth, width), max(screen.offheight, height)
     try:
         renderer = mujoco.Renderer(model, height, width)
     except Exception as error:
+        reason = (str(error) or type(error).__name__).splitlines()[0]
         raise RenderError(
-            f"no off-screen OpenGL ({str(error).splitlines()[0] if str(error) else type(error).__name__}); on Debian: apt-get install libegl1 libgl1-mesa-dri"
+            f"no off-screen OpenGL ({reason}); on Debian: apt-get install libegl1 libgl1-mesa-dri"
         ) from None
     data = mujoco.MjData(model)
     camera = 0 if model.ncam else -1

@@ -1,4 +1,4 @@
-"""Initial configuration: torso upright, feet where the stance wants them, centre of mass above their middle."""
+"""Initial posture: torso upright, feet where the stance wants them, centre of mass above their middle."""
 
 from __future__ import annotations
 

@@ -78,7 +78,7 @@ def floor(spec: mujoco.MjSpec, height: float) -> Any:
 
 
 def panel(spec: mujoco.MjSpec, name: str, point: Array, normal: Array, edge: float) -> Any:
-    """A wooden panel: its upper face passes through ``point`` with ``normal``, its lower edge is at x = ``edge``."""
+    """A wooden panel: upper face through ``point`` with ``normal``, lower edge at x = ``edge`` [m]."""
     thickness, width, beyond = 0.018, 0.45, 0.32
     down = float(np.sign(edge - point[0]))
     slope = np.array([down * normal[2], 0.0, -down * normal[0]])  # along the panel towards its lower edge
@@ -92,17 +92,13 @@ def panel(spec: mujoco.MjSpec, name: str, point: Array, normal: Array, edge: flo
     )  # fmt: skip
 
 
-def slider(body: Any) -> None:
-    """The planarizer's carriage, behind the robot (drawn only)."""
-
-
 def torso(body: Any, robot: Robot) -> None:
-    """Trunk, pelvis and head."""
+    """Trunk and pelvis."""
     box = mujoco.mjtGeom.mjGEOM_BOX
     top = 2.0 * robot.base.com[2]
     hips = [np.asarray(j.position) for j in robot.joints if j.parent == robot.base.name]
     _capsule(body, hips[0], hips[-1], 0.035, _DARK)
-    _show(body, box, [0.075, 0.12, 0.5 * top - 0.05], _SHELL, pos=[0.0, 0.0, 0.5 * top + 0.03])
+    _show(body, box, [0.075, 0.12, 0.5 * top], _SHELL, pos=[0.0, 0.0, 0.5 * top + 0.02])
 
 
 def link(body: Any, robot: Robot, joint: Joint) -> None:

@@ -33,9 +33,6 @@ def test_a_moved_robot_gives_another_picture():
     model, qpos = scene()
     moved = qpos.copy()
     moved[1] += 0.1
-    try:
-        first, second = (frame.copy() for frame in frames(model, [qpos, moved], width=64, height=48))
-    except RenderError:  # a machine without OpenGL: the sentence is all there is to check, above
-        return
+    first, second = frames(model, [qpos, moved], width=64, height=48)
     assert first.shape == (48, 64, 3) and first.dtype == np.uint8
     assert (first != second).any()

@@ -1,0 +1,40 @@
+"""The video of a run, rendered from its record."""
+
+from __future__ import annotations
+
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import imageio_ffmpeg
+import numpy as np
+
+from hil.errors import EmulationError
+from hil.signals import Signals
+
+FPS = 30
+_SIZE = (960, 544)
+
+
+def write_video(directory: Path, world: Any, table: Signals) -> Path:
+    """Encode ``video.mp4`` (H.264) at the speed of simulated time. Raises EmulationError without off-screen OpenGL."""
+    from plant.render import RenderError, frames
+
+    qpos = table.group("qpos")
+    ticks = np.arange(0.0, table.seconds[-1], 1.0 / FPS)
+    rows = qpos[np.searchsorted(table.seconds, ticks).clip(max=len(qpos) - 1)]
+    path = directory / "video.mp4"
+    width, height = _SIZE
+    command = [
+        imageio_ffmpeg.get_ffmpeg_exe(), "-y", "-loglevel", "error", "-f", "rawvideo", "-pix_fmt", "rgb24",
+        "-s", f"{width}x{height}", "-r", str(FPS), "-i", "-", "-c:v", "libx264", "-pix_fmt", "yuv420p", str(path),
+    ]  # fmt: skip
+    try:
+        with subprocess.Popen(command, stdin=subprocess.PIPE) as encoder:
+            assert encoder.stdin is not None
+            for picture in frames(world.model, rows, width, height):
+                encoder.stdin.write(picture.tobytes())
+            encoder.stdin.close()
+    except RenderError as error:
+        raise EmulationError(str(error)) from None
+    return path
