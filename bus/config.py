@@ -11,7 +11,7 @@ class Impairment(Config):
     delay: Seconds = 0.0  # added to every delivery
     jitter: Seconds = 0.0  # added on top, uniform in [0, jitter]
     loss: Probability = 0.0  # share of deliveries that vanish
-    bit_error_rate: Probability = 0.0  # per bit; CAN retransmits a damaged frame, a link discards a damaged sample
+    bit_error_rate: Probability = 0.0  # per bit; CAN retransmits the frame, a link discards the sample
 
 
 class BusConfig(Impairment):

@@ -1,90 +1,126 @@
-"""The DBC file of a robot's bus, from the layouts of ``bus.messages``."""
+"""The DBC file of a robot's bus: names, order and layouts of ``bus.messages``, with units and value texts."""
 
 from __future__ import annotations
 
+import struct
+from collections.abc import Iterator
+from typing import NamedTuple
+
 from bus import messages
-from bus.messages import Controlword, Mode, Statusword
+from bus.messages import Controlword, GainSet, Mode, Setpoint, State, Statusword
 from robots.description import Bus, Robot
 
-# name, start bit, bits, signed, scale, unit
-_STATE = (
-    ("counter", 0, 16, False, 1, ""),
-    ("statusword", 16, 16, False, 1, ""),
-    ("position", 32, 32, True, messages.RADIAN, "rad"),
-    ("velocity", 64, 32, True, messages.RADIAN_PER_SECOND, "rad/s"),
-    ("torque", 96, 32, True, messages.NEWTON_METRE, "N m"),
-    ("current", 128, 16, True, messages.AMPERE, "A"),
-    ("motor_velocity", 144, 16, True, 1e-3, "rad/s"),
-    ("command_counter", 160, 16, False, 1, ""),
-    ("error", 176, 8, False, 1, ""),
-    ("temperature", 184, 8, False, 1, "degC"),
-)
-_SLOT = (
-    ("controlword", 0, 16, False, 1, ""),
-    ("mode", 16, 8, True, 1, ""),
-    ("gain_set", 24, 8, False, 1, ""),
-    ("torque", 32, 32, True, messages.NEWTON_METRE, "N m"),
-    ("position", 64, 32, True, messages.RADIAN, "rad"),
-    ("velocity", 96, 32, True, messages.RADIAN_PER_SECOND, "rad/s"),
-    ("torque_limit", 128, 16, False, messages.TORQUE_LIMIT, "N m"),
-    ("state_counter", 144, 16, False, 1, ""),
-)
-_HEADER = 32  # bits before the first slot
-_SLOT_BITS = 160
+_UNITS = {
+    "position": (messages.RADIAN, "rad"),
+    "velocity": (messages.RADIAN_PER_SECOND, "rad/s"),
+    "torque": (messages.NEWTON_METRE, "N m"),
+    "torque_limit": (messages.TORQUE_LIMIT, "N m"),
+    "current": (messages.AMPERE, "A"),
+    "motor_velocity": (messages.MOTOR_RADIAN_PER_SECOND, "rad/s"),
+    "temperature": (1.0, "degC"),
+}
+# The statusword as signals of its own, so that a drive's state has its name whatever the other bits are.
+_STATUSWORD_BITS = (("drive_state", 0, 7), ("limited", 11, 1), ("foot_contact", 14, 1))
+_FD_BASE_FRAME = 14  # VFrameFormat StandardCAN_FD
+_FRAME_FORMATS = (
+    "StandardCAN", "ExtendedCAN", "reserved", "J1939PG", *["reserved"] * 10,
+    "StandardCAN_FD", "ExtendedCAN_FD",
+)  # fmt: skip
 
 
-def _signal(name: str, start: int, bits: int, signed: bool, scale: float, unit: str, receiver: str) -> str:
-    return f' SG_ {name} : {start}|{bits}@1{"-" if signed else "+"} ({scale:g},0) [0|0] "{unit}" {receiver}'
+class _Signal(NamedTuple):
+    name: str
+    start: int
+    bits: int
+    signed: bool
+    scale: float = 1.0
+    unit: str = ""
+
+    def line(self, receiver: str) -> str:
+        place = f"{self.start}|{self.bits}@1{'-' if self.signed else '+'}"
+        return f' SG_ {self.name} : {place} ({self.scale:g},0) [0|0] "{self.unit}" {receiver}'
+
+
+def _signals(names: tuple[str, ...], layout: str, first_bit: int = 0, prefix: str = "") -> Iterator[_Signal]:
+    """One signal per field of a struct ``layout``."""
+    start = first_bit
+    for name, code in zip(names, layout, strict=True):
+        bits = 8 * struct.calcsize("<" + code)
+        if name == "statusword":
+            for part, offset, width in _STATUSWORD_BITS:
+                yield _Signal(prefix + part, start + offset, width, False)
+        else:
+            yield _Signal(prefix + name, start, bits, code.islower(), *_UNITS.get(name, (1.0, "")))
+        start += bits
+
+
+def _texts(table: type, leave_out: tuple[str, ...] = ()) -> str:
+    entries = {name: value for name, value in vars(table).items() if name.isupper() and name not in leave_out}
+    return " ".join(f'{value} "{name}"' for name, value in entries.items())
+
+
+_TEXTS = {
+    "drive_state": _texts(Statusword, leave_out=("MASK", "FOOT_CONTACT", "LIMITED")),
+    "controlword": _texts(Controlword),
+    "mode": _texts(Mode),
+    "gain_set": _texts(GainSet),
+}
 
 
 def dbc(robot: Robot, bus: Bus) -> str:
-    """Text of the DBC file of ``bus``: drive states, command, heartbeats, emergencies."""
+    """Text of the DBC file of ``bus``: the command (a set of signals per joint, prefixed with its name), and
+    each drive's state, heartbeat and emergency.
+
+    Raises ValueError for a bus with more drives than a command has slots.
+    """
     joints = robot.joints_of(bus)
-    lines = ['VERSION ""', "", "NS_ :", "", "BS_:", "", "BU_: gateway " + " ".join(j.name for j in joints), ""]
+    if len(joints) > messages.SLOTS:
+        raise ValueError(f"bus {bus.name} has {len(joints)} drives; a command has {messages.SLOTS} slots")
+    nodes = " ".join(["gateway", *bus.joints])
+    lines = ['VERSION ""', "", "NS_ :", "", "BS_:", "", f"BU_: {nodes}", ""]
     values: list[str] = []
     identifiers: list[int] = []
 
-    def message(identifier: int, name: str, length: int, sender: str, signals: list[str]) -> None:
+    def message(
+        identifier: int, name: str, length: int, sender: str, signals: list[tuple[_Signal, str]]
+    ) -> None:
         identifiers.append(identifier)
         lines.append(f"BO_ {identifier} {name}: {length} {sender}")
-        lines.extend(signals)
+        for signal, receiver in signals:
+            lines.append(signal.line(receiver))
+            for field, texts in _TEXTS.items():
+                if signal.name == field or signal.name == f"{receiver}_{field}":
+                    values.append(f"VAL_ {identifier} {signal.name} {texts} ;")
         lines.append("")
 
-    def table(identifier: int, signal: str, names: type) -> None:
-        entries = [(value, key) for key, value in vars(names).items() if key.isupper() and key not in ("MASK",)]
-        text = " ".join(f'{value} "{key}"' for value, key in entries)
-        values.append(f"VAL_ {identifier} {signal} {text} ;")
-
-    command = [_signal("counter", 0, 16, False, 1, "", joints[0].name)]
-    for slot, joint in enumerate(joints):
-        for name, start, bits, signed, scale, unit in _SLOT:
-            at = _HEADER + slot * _SLOT_BITS + start
-            command.append(_signal(f"{joint.name}_{name}", at, bits, signed, scale, unit, joint.name))
+    command = [(_Signal("counter", 0, 16, False), joints[0].name)]
+    at = 8 * struct.calcsize("<" + messages.COMMAND_HEADER_LAYOUT)
+    for joint in joints:
+        slot = _signals(Setpoint._fields, messages.SLOT_LAYOUT, at, f"{joint.name}_")
+        command += [(signal, joint.name) for signal in slot]
+        at += 8 * struct.calcsize("<" + messages.SLOT_LAYOUT)
     message(messages.COMMAND, "command", messages.COMMAND_LENGTH, "gateway", command)
+
+    state = list(_signals(State._fields, messages.STATE_LAYOUT))
+    heartbeat = [_Signal("nmt_state", 0, 8, False)]
+    emergency = [_Signal("error_code", 0, 16, False), _Signal("error_register", 16, 8, False)]
     for joint in joints:
-        table(messages.COMMAND, f"{joint.name}_controlword", Controlword)
-        table(messages.COMMAND, f"{joint.name}_mode", Mode)
-    for joint in joints:
-        state = [_signal(*field, "gateway") for field in _STATE]
-        identifier = messages.STATE + joint.node_id
-        message(identifier, f"{joint.name}_state", messages.STATE_LENGTH, joint.name, state)
-        table(identifier, "statusword", Statusword)
-        beat = [_signal("nmt_state", 0, 8, False, 1, "", "gateway")]
-        message(messages.HEARTBEAT + joint.node_id, f"{joint.name}_heartbeat", 1, joint.name, beat)
-        emergency = [
-            _signal("error_code", 0, 16, False, 1, "", "gateway"),
-            _signal("error_register", 16, 8, False, 1, "", "gateway"),
-        ]
-        message(messages.EMERGENCY + joint.node_id, f"{joint.name}_emergency", 8, joint.name, emergency)
+        for base, name, length, signals in (
+            (messages.STATE, "state", messages.STATE_LENGTH, state),
+            (messages.HEARTBEAT, "heartbeat", 1, heartbeat),
+            (messages.EMERGENCY, "emergency", messages.EMERGENCY_LENGTH, emergency),
+        ):
+            sent = [(signal, "gateway") for signal in signals]
+            message(base + joint.node_id, f"{joint.name}_{name}", length, joint.name, sent)
+
+    formats = ",".join(f'"{name}"' for name in _FRAME_FORMATS)
     lines += [
-        'BA_DEF_ BO_ "VFrameFormat" ENUM "StandardCAN","ExtendedCAN","reserved","J1939PG","reserved","reserved",'
-        '"reserved","reserved","reserved","reserved","reserved","reserved","reserved","reserved","StandardCAN_FD",'
-        '"ExtendedCAN_FD";',
+        f'BA_DEF_ BO_ "VFrameFormat" ENUM {formats};',
         'BA_DEF_ "BusType" STRING ;',
         'BA_DEF_DEF_ "VFrameFormat" "StandardCAN_FD";',
         'BA_DEF_DEF_ "BusType" "CAN FD";',
         'BA_ "BusType" "CAN FD";',
-        *[f'BA_ "VFrameFormat" BO_ {identifier} 14;' for identifier in identifiers],
+        *[f'BA_ "VFrameFormat" BO_ {identifier} {_FD_BASE_FRAME};' for identifier in identifiers],
         *values,
         "",
     ]

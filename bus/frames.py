@@ -38,7 +38,7 @@ def checked(frame: Frame) -> Frame:
         bits = 29 if frame.extended else 11
         raise InvalidFrameError(f"identifier {frame.id:#x} does not fit into {bits} bits")
     if frame.fd and len(frame.data) not in CAN_FD_LENGTHS:
-        raise InvalidFrameError(f"a CAN FD frame cannot carry {len(frame.data)} bytes; {CAN_FD_LENGTHS} can be had")
+        raise InvalidFrameError(f"no CAN FD frame has {len(frame.data)} bytes, only {CAN_FD_LENGTHS}")
     if not frame.fd and len(frame.data) > 8:
         raise InvalidFrameError(f"a classical CAN frame carries at most 8 bytes, not {len(frame.data)}")
     if frame.brs and not frame.fd:

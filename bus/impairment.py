@@ -10,8 +10,8 @@ from bus.config import Impairment
 
 
 class ImpairmentModel:
-    """Draws the fate of each delivery. Every kind of fault has its own random stream, and draws only while its
-    parameter is above zero: injecting one fault leaves the draws of the others as they were."""
+    """Draws the fate of each delivery. Every kind of fault has its own random stream, and draws only while
+    its parameter is above zero: injecting one fault leaves the draws of the others as they were."""
 
     def __init__(self, name: str, config: Impairment, streams: Callable[[str], Any]) -> None:
         self._values = {key: getattr(config, key) for key in Impairment.model_fields}
@@ -26,9 +26,14 @@ class ImpairmentModel:
         self.clean = not any(self._values.values())
 
     def set(self, key: str, value: float) -> None:
-        """Change ``delay`` or ``jitter`` [s], ``loss`` or ``bit_error_rate`` [1]. Raises KeyError for another key."""
+        """Change ``delay`` or ``jitter`` [s], ``loss`` or ``bit_error_rate`` [1].
+
+        Raises KeyError for another key and ValueError for a value out of range.
+        """
         if key not in self._values:
             raise KeyError(f"no impairment {key!r}; there is {', '.join(self._values)}")
+        if not (math.isfinite(value) and value >= 0 and (key in ("delay", "jitter") or value <= 1)):
+            raise ValueError(f"{value!r} is out of range for {key}")
         self._values[key] = value
         self._apply()
 
@@ -43,14 +48,14 @@ class ImpairmentModel:
         return self._delay_ns
 
     def damaged_at(self, bits: int) -> int | None:
-        """Which of ``bits`` bits is the first to be flipped, None if none is: geometric in the bit error rate."""
+        """Which of ``bits`` bits is the first to flip, None if none: geometric in the bit error rate."""
         if self._bit_error_rate <= 0:
             return None
         if self._bit_error_rate >= 1:
             return 0
         draw = self._streams["bit_error"].uniform()
-        bit = math.floor(math.log1p(-draw) / math.log1p(-self._bit_error_rate))
-        return bit if bit < bits else None
+        bit = math.log1p(-draw) / math.log1p(-self._bit_error_rate)  # may be infinite
+        return int(bit) if bit < bits else None
 
     def snapshot(self) -> dict[str, Any]:
         return {"values": dict(self._values), "streams": {k: s.snapshot() for k, s in self._streams.items()}}

@@ -6,6 +6,7 @@ All physical values are fixed-point integers with the scales below.
 
 from __future__ import annotations
 
+import math
 import struct
 from typing import NamedTuple
 
@@ -21,6 +22,7 @@ RADIAN_PER_SECOND = 1e-5  # rad/s per count
 NEWTON_METRE = 1e-4  # N m per count
 TORQUE_LIMIT = 0.02  # N m per count, unsigned 16 bit
 AMPERE = 0.01  # A per count
+MOTOR_RADIAN_PER_SECOND = 1e-3  # rad/s per count, 16 bit
 SLOTS = 3  # drives that one command frame can address
 
 
@@ -95,11 +97,17 @@ class Setpoint(NamedTuple):
     state_counter: int = 0  # sample that this set-point was computed from
 
 
-_STATE = struct.Struct("<HHiiihhHBB")
-_SLOT = "HbBiiiHH"
-_COMMAND = struct.Struct("<HH" + _SLOT * SLOTS)
+# The fields in the order of the tuples above, as struct codes.
+STATE_LAYOUT = "HHiiihhHBB"
+COMMAND_HEADER_LAYOUT = "HH"  # counter, reserved
+SLOT_LAYOUT = "HbBiiiHH"
+_STATE = struct.Struct("<" + STATE_LAYOUT)
+_COMMAND_HEADER = struct.Struct("<" + COMMAND_HEADER_LAYOUT)
+_ONE_SLOT = struct.Struct("<" + SLOT_LAYOUT)
+_make_state = State._make
+_make_setpoint = Setpoint._make
 STATE_LENGTH = _STATE.size
-COMMAND_LENGTH = _COMMAND.size
+COMMAND_LENGTH = _COMMAND_HEADER.size + SLOTS * _ONE_SLOT.size
 assert STATE_LENGTH == 24 and COMMAND_LENGTH == 64
 
 _I32 = 2**31 - 1
@@ -112,20 +120,31 @@ class MalformedMessageError(ValueError):
 
 
 def _fixed(value: float, scale: float, limit: int) -> int:
-    """``value`` in counts, saturated: a drive that reads a wrapped number would do the opposite of what was meant."""
-    count = round(value / scale)
-    return limit if count > limit else -limit if count < -limit else count
+    """``value`` in counts, saturated: a drive that reads a wrapped number would do the opposite of what was
+    meant. Raises ValueError for NaN."""
+    if math.isinf(value):
+        return limit if value > 0 else -limit
+    return min(max(round(value / scale), -limit), limit)
 
 
 def encode_state(s: State) -> bytes:
-    """The 24 bytes of a TPDO1. Values beyond the range of their field saturate."""
-    return _STATE.pack(
-        s.counter & _U16, s.statusword & _U16,
-        _fixed(s.position, RADIAN, _I32), _fixed(s.velocity, RADIAN_PER_SECOND, _I32),
-        _fixed(s.torque, NEWTON_METRE, _I32),
-        _fixed(s.current, AMPERE, _I16), _fixed(s.motor_velocity, 1e-3, _I16),
-        s.command_counter & _U16, s.error & 0xFF, min(max(round(s.temperature), 0), 255),
-    )  # fmt: skip
+    """The 24 bytes of a TPDO1. Values beyond the range of their field saturate; NaN raises ValueError."""
+    counter, statusword, position, velocity, torque, current, motor_velocity, command, error, temperature = s
+    try:  # the rule: everything fits
+        return _STATE.pack(
+            counter & _U16, statusword & _U16,
+            round(position / RADIAN), round(velocity / RADIAN_PER_SECOND), round(torque / NEWTON_METRE),
+            round(current / AMPERE), round(motor_velocity / MOTOR_RADIAN_PER_SECOND),
+            command & _U16, error & 0xFF, round(temperature),
+        )  # fmt: skip
+    except (struct.error, OverflowError):
+        return _STATE.pack(
+            counter & _U16, statusword & _U16,
+            _fixed(position, RADIAN, _I32), _fixed(velocity, RADIAN_PER_SECOND, _I32),
+            _fixed(torque, NEWTON_METRE, _I32),
+            _fixed(current, AMPERE, _I16), _fixed(motor_velocity, MOTOR_RADIAN_PER_SECOND, _I16),
+            command & _U16, error & 0xFF, max(_fixed(temperature, 1.0, 255), 0),
+        )  # fmt: skip
 
 
 def decode_state(data: bytes) -> State:
@@ -133,45 +152,59 @@ def decode_state(data: bytes) -> State:
     if len(data) != STATE_LENGTH:
         raise MalformedMessageError(f"drive state has {len(data)} bytes, not {STATE_LENGTH}")
     c, sw, q, dq, tau, i, dm, cc, e, temperature = _STATE.unpack(data)
-    return State(
-        c, sw, q * RADIAN, dq * RADIAN_PER_SECOND, tau * NEWTON_METRE, i * AMPERE, dm * 1e-3, cc, e, temperature
-    )
+    return _make_state(
+        (c, sw, q * RADIAN, dq * RADIAN_PER_SECOND, tau * NEWTON_METRE, i * AMPERE,
+         dm * MOTOR_RADIAN_PER_SECOND, cc, e, temperature)
+    )  # fmt: skip
+
+
+def _pack_slot(s: Setpoint) -> bytes:
+    controlword, mode, gain_set, torque, position, velocity, torque_limit, state_counter = s
+    try:
+        return _ONE_SLOT.pack(
+            controlword, mode, gain_set,
+            round(torque / NEWTON_METRE), round(position / RADIAN), round(velocity / RADIAN_PER_SECOND),
+            round(torque_limit / TORQUE_LIMIT), state_counter & _U16,
+        )  # fmt: skip
+    except (struct.error, OverflowError):
+        return _ONE_SLOT.pack(
+            controlword, mode, gain_set,
+            _fixed(torque, NEWTON_METRE, _I32), _fixed(position, RADIAN, _I32),
+            _fixed(velocity, RADIAN_PER_SECOND, _I32),
+            max(_fixed(torque_limit, TORQUE_LIMIT, _U16), 0), state_counter & _U16,
+        )  # fmt: skip
 
 
 def encode_command(counter: int, setpoints: tuple[Setpoint, ...] | list[Setpoint]) -> bytes:
-    """The 64 bytes of a bus's command: one slot per drive in the bus's order, unused slots disabled."""
+    """The 64 bytes of a bus's command: one slot per drive in the bus's order, unused slots disabled.
+
+    Values beyond the range of their field saturate; NaN raises ValueError. Raises MalformedMessageError for
+    more set-points than slots.
+    """
     if len(setpoints) > SLOTS:
-        raise MalformedMessageError(f"{len(setpoints)} set-points do not fit into the {SLOTS} slots of a command frame")
-    fields: list[int] = [counter & _U16, 0]
-    for s in setpoints:
-        fields += (
-            s.controlword, s.mode, s.gain_set,
-            _fixed(s.torque, NEWTON_METRE, _I32), _fixed(s.position, RADIAN, _I32),
-            _fixed(s.velocity, RADIAN_PER_SECOND, _I32),
-            min(max(round(s.torque_limit / TORQUE_LIMIT), 0), _U16), s.state_counter & _U16,
-        )  # fmt: skip
-    fields += (0,) * (8 * (SLOTS - len(setpoints)))
-    return _COMMAND.pack(*fields)
+        raise MalformedMessageError(f"{len(setpoints)} set-points do not fit into a command's {SLOTS} slots")
+    slots = b"".join([_COMMAND_HEADER.pack(counter & _U16, 0), *map(_pack_slot, setpoints)])
+    return slots.ljust(COMMAND_LENGTH, b"\0")
 
 
 def command_counter(data: bytes) -> int:
-    """Counter of a command frame, without decoding the slots. Raises MalformedMessageError on a wrong length."""
+    """Counter of a command frame, without decoding the slots. Raises MalformedMessageError on a wrong
+    length."""
     if len(data) != COMMAND_LENGTH:
         raise MalformedMessageError(f"command has {len(data)} bytes, not {COMMAND_LENGTH}")
     return data[0] | data[1] << 8
-
-
-_ONE_SLOT = struct.Struct("<" + _SLOT)
 
 
 def decode_setpoint(data: bytes, slot: int) -> Setpoint:
     """One drive's slot of a command frame. Raises MalformedMessageError on a wrong length."""
     if len(data) != COMMAND_LENGTH:
         raise MalformedMessageError(f"command has {len(data)} bytes, not {COMMAND_LENGTH}")
-    cw, mode, gains, tau, q, dq, limit, counter = _ONE_SLOT.unpack_from(data, 4 + _ONE_SLOT.size * slot)
-    return Setpoint(
-        cw, mode, gains, tau * NEWTON_METRE, q * RADIAN, dq * RADIAN_PER_SECOND, limit * TORQUE_LIMIT, counter
-    )
+    at = _COMMAND_HEADER.size + _ONE_SLOT.size * slot
+    cw, mode, gains, tau, q, dq, limit, counter = _ONE_SLOT.unpack_from(data, at)
+    return _make_setpoint(
+        (cw, mode, gains, tau * NEWTON_METRE, q * RADIAN, dq * RADIAN_PER_SECOND, limit * TORQUE_LIMIT,
+         counter)
+    )  # fmt: skip
 
 
 def newer(counter: int, than: int) -> bool:
@@ -179,7 +212,9 @@ def newer(counter: int, than: int) -> bool:
     return 0 < ((counter - than) & _U16) < 0x8000
 
 
-_EMERGENCY = struct.Struct("<HB5s")
+EMERGENCY_LAYOUT = "HB5s"
+_EMERGENCY = struct.Struct("<" + EMERGENCY_LAYOUT)
+EMERGENCY_LENGTH = _EMERGENCY.size
 
 
 def encode_emergency(error_code: int, register: int, detail: bytes = b"") -> bytes:
@@ -189,6 +224,6 @@ def encode_emergency(error_code: int, register: int, detail: bytes = b"") -> byt
 
 def decode_emergency(data: bytes) -> tuple[int, int, bytes]:
     """Error code, register and detail of an EMCY payload. Raises MalformedMessageError on a wrong length."""
-    if len(data) != 8:
-        raise MalformedMessageError(f"emergency has {len(data)} bytes, not 8")
+    if len(data) != EMERGENCY_LENGTH:
+        raise MalformedMessageError(f"emergency has {len(data)} bytes, not {EMERGENCY_LENGTH}")
     return _EMERGENCY.unpack(data)

@@ -1,17 +1,20 @@
-"""Ports on an emulated bus: shared memory for a firmware process, a Unix socket for any other process of the user.
+"""Ports on an emulated bus: shared memory for a firmware process, a Unix socket for any other process.
 
-Frames on the socket and in the rings have one layout, little-endian: time i64 (ns), identifier u32, flags u8,
-sender u8, length u8, reserved u8, 64 bytes of data.
+A record on the socket, little-endian: time i64 (ns), identifier u32, flags u8, sender u8, length u8, own u8
+(1 in what a client is told of a frame that it sent itself), data. A slot of a ring: identifier u32, flags
+u8, length u8, two bytes unused, 64 bytes of data.
 """
 
 from __future__ import annotations
 
 import contextlib
+import errno
 import json
 import os
 import re
 import socket
 import struct
+from collections import deque
 from typing import Any
 
 from bus.frames import Frame, is_valid
@@ -32,34 +35,42 @@ class MalformedRecordError(ValueError):
     """Bytes that are not a frame."""
 
 
-def pack_frame(frame: Frame, time_ns: int = 0, sender: int = 0) -> bytes:
+def pack_frame(frame: Frame, time_ns: int = 0, sender: int = 0, own: bool = False) -> bytes:
     """The record of ``frame``."""
-    flags = (_FD if frame.fd else 0) | (_BRS if frame.brs else 0) | (_EXTENDED if frame.extended else 0)
-    return _RECORD.pack(time_ns, frame.id, flags, sender, len(frame.data), 0) + frame.data
+    identifier, data, fd, brs, extended = frame
+    flags = (_FD if fd else 0) | (_BRS if brs else 0) | (_EXTENDED if extended else 0)
+    return _RECORD.pack(time_ns, identifier, flags, sender, len(data), own) + data
+
+
+def is_own(record: bytes) -> bool:
+    """Whether the client that receives this record is the one that sent the frame."""
+    return record[_RECORD.size - 1] == 1
 
 
 def unpack_frame(record: bytes) -> tuple[int, int, Frame]:
     """Time in ns, sender and frame of a record. Raises MalformedRecordError."""
     if len(record) < _RECORD.size:
         raise MalformedRecordError(f"a record of {len(record)} bytes")
-    time_ns, identifier, flags, sender, length, reserved = _RECORD.unpack_from(record)
+    time_ns, identifier, flags, sender, length, own = _RECORD.unpack_from(record)
     fd, brs, extended = bool(flags & _FD), bool(flags & _BRS), bool(flags & _EXTENDED)
-    if reserved or flags > 7 or len(record) != _RECORD.size + length:
+    if own > 1 or flags > 7 or len(record) != _RECORD.size + length:
         raise MalformedRecordError("flags or length do not fit")
     if not is_valid(identifier, length, fd, brs, extended):
         raise MalformedRecordError(f"no controller could send identifier {identifier:#x} with {length} bytes")
     return time_ns, sender, Frame(identifier, record[_RECORD.size :], fd, brs, extended)
 
 
-# --- shared memory ------------------------------------------------------------------------------------------------
+# --- shared memory ------------------------------------------------------------------------------------------
 
 _SLOTS = 32  # frames that can wait in one direction
-_SLOT = struct.Struct("<IBB2x")
-_SLOT_SIZE = _SLOT.size + 64
+_SLOT = struct.Struct("<IBB2x64s")
+_SLOT_SIZE = _SLOT.size
+_FLAGS = tuple((bool(f & _FD), bool(f & _BRS), bool(f & _EXTENDED)) for f in range(256))
 
 
 class _Ring:
-    """Single producer, single consumer. The lockstep hands over by eventfd, which orders the memory: no locks."""
+    """Single producer, single consumer. The lockstep hands over by eventfd, which orders the memory and lets
+    only one side run at a time: no locks."""
 
     SIZE = 16 + _SLOTS * _SLOT_SIZE
 
@@ -67,6 +78,7 @@ class _Ring:
         self._ends = memory[:16].cast("q")  # written, read
         self._slots = memory[16 : self.SIZE]
         self.overruns = 0
+        self.malformed = 0  # slots that hold no frame
 
     def put(self, frame: Frame) -> bool:
         """Append ``frame``; False when the ring is full, as a controller's buffer would overrun."""
@@ -74,31 +86,36 @@ class _Ring:
         if ends[0] - ends[1] >= _SLOTS:
             self.overruns += 1
             return False
-        at = ends[0] % _SLOTS * _SLOT_SIZE
-        flags = (_FD if frame.fd else 0) | (_BRS if frame.brs else 0) | (_EXTENDED if frame.extended else 0)
-        data = frame.data
-        _SLOT.pack_into(self._slots, at, frame.id, flags, len(data))
-        self._slots[at + _SLOT.size : at + _SLOT.size + len(data)] = data
-        ends[0] += 1
+        written = ends[0]
+        identifier, data, fd, brs, extended = frame
+        flags = (_FD if fd else 0) | (_BRS if brs else 0) | (_EXTENDED if extended else 0)
+        _SLOT.pack_into(self._slots, written % _SLOTS * _SLOT_SIZE, identifier, flags, len(data), data)
+        ends[0] = written + 1
         return True
 
     def take(self) -> list[Frame]:
-        """All frames that wait, oldest first."""
+        """All frames that wait, oldest first; what no controller could send is dropped and counted."""
         ends = self._ends
-        if ends[0] == ends[1]:
+        written, read = ends[0], ends[1]
+        if written == read:
             return []
-        frames = []
-        while ends[1] < ends[0]:
-            at = ends[1] % _SLOTS * _SLOT_SIZE
-            identifier, flags, length = _SLOT.unpack_from(self._slots, at)
-            data = bytes(self._slots[at + _SLOT.size : at + _SLOT.size + length])
-            frames.append(Frame(identifier, data, bool(flags & _FD), bool(flags & _BRS), bool(flags & _EXTENDED)))
-            ends[1] += 1
+        frames: list[Frame] = []
+        ends[1] = written
+        if not 0 < written - read <= _SLOTS:
+            self.malformed += 1
+            return frames
+        for n in range(read, written):
+            identifier, flags, length, data = _SLOT.unpack_from(self._slots, n % _SLOTS * _SLOT_SIZE)
+            fd, brs, extended = _FLAGS[flags]
+            if flags < 8 and is_valid(identifier, length, fd, brs, extended):
+                frames.append(Frame(identifier, data[:length], fd, brs, extended))
+            else:
+                self.malformed += 1
         return frames
 
 
 class ShmPort:
-    """A port in ``SIZE`` bytes of shared memory. The firmware's side (``firmware=True``) is the mirror image."""
+    """A port in ``SIZE`` bytes of shared memory; ``firmware=True`` is the mirror image for the firmware."""
 
     SIZE = 2 * _Ring.SIZE
 
@@ -114,8 +131,13 @@ class ShmPort:
         """Frames from the other side."""
         return self._incoming.take()
 
+    @property
+    def malformed(self) -> int:
+        """What came from the other side and was no frame."""
+        return self._incoming.malformed
 
-# --- sockets ------------------------------------------------------------------------------------------------------
+
+# --- sockets ------------------------------------------------------------------------------------------------
 
 
 def _address(run: str, channel: str) -> str:
@@ -128,19 +150,28 @@ def _peer_uid(connection: socket.socket) -> int:
 
 
 class PortServer:
-    """Serves one bus to other processes of the same user, at an abstract address that vanishes with the process."""
+    """Serves one bus to other processes of the same user, at an abstract address that dies with this process.
+
+    A client that does not keep up misses frames (``overruns``); what is not a frame is dropped
+    (``malformed``).
+    """
 
     def __init__(self, channel: str, run: str, endpoint: str | None = None) -> None:
         self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         self._listener.setblocking(False)
         try:
             self._listener.bind(_address(run, channel))
-        except OSError:
+        except OSError as error:
             self._listener.close()
-            raise PortError(f"a run named {run!r} serves {channel!r} already") from None
+            if error.errno == errno.EADDRINUSE:
+                raise PortError(f"a run named {run!r} serves {channel!r} already") from None
+            raise PortError(f"{run!r}/{channel!r} cannot be served: {error}") from None
         self._listener.listen(_BACKLOG)
-        self._hello = json.dumps({"version": VERSION, "run": run, "channel": channel, "endpoint": endpoint}).encode()
+        hello = {"version": VERSION, "run": run, "channel": channel, "endpoint": endpoint}
+        self._hello = json.dumps(hello).encode()
         self._clients: list[socket.socket] = []
+        # what clients sent and the bus has not yet shown
+        self._sent: deque[tuple[socket.socket, Frame]] = deque(maxlen=256)
         self.overruns = 0  # frames that a slow client missed
         self.malformed = 0
 
@@ -173,21 +204,35 @@ class PortServer:
                     self._drop(client)
                     break
                 try:
-                    frames.append(unpack_frame(record)[2])
+                    frame = unpack_frame(record)[2]
                 except MalformedRecordError:
                     self.malformed += 1
+                    continue
+                frames.append(frame)
+                self._sent.append((client, frame))
         return frames
 
     def broadcast(self, time_ns: int, sender: int, frame: Frame) -> None:
-        """Send ``frame`` to all clients; one that does not keep up misses it."""
+        """Send ``frame`` to all clients; one that does not keep up misses it. A client that has sent this
+        frame is told that it is its own."""
+        if not self._clients:
+            return
+        origin = self._origin(frame) if self._sent else None
         record = pack_frame(frame, time_ns, sender)
         for client in list(self._clients):
             try:
-                client.send(record)
+                client.send(record if client is not origin else pack_frame(frame, time_ns, sender, own=True))
             except BlockingIOError:
                 self.overruns += 1
             except OSError:
                 self._drop(client)
+
+    def _origin(self, frame: Frame) -> socket.socket | None:
+        for n, (client, sent) in enumerate(self._sent):
+            if sent == frame:
+                del self._sent[n]
+                return client
+        return None
 
     def _drop(self, client: socket.socket) -> None:
         self._clients.remove(client)
@@ -213,7 +258,8 @@ def served() -> list[tuple[str, str]]:
 
 
 def connect(channel: str) -> tuple[socket.socket, dict[str, Any]]:
-    """Attach to ``channel`` ("left_leg", or "RUN/left_leg" when several runs go on). Returns socket and hello.
+    """Attach to ``channel`` ("left_leg", or "RUN/left_leg" when several runs go on). Returns socket and
+    hello.
 
     Raises PortError with what there is.
     """
@@ -232,12 +278,16 @@ def connect(channel: str) -> tuple[socket.socket, dict[str, Any]]:
         if _peer_uid(connection) != os.getuid():
             raise PortError(f"{channel!r} is served by another user")
         hello = json.loads(connection.recv(4096))
-    except (OSError, ValueError) as error:
+        version = hello["version"]
+    except PortError:
+        connection.close()
+        raise
+    except (OSError, ValueError, KeyError, TypeError) as error:
         connection.close()
         raise PortError(f"{channel!r} does not answer ({error})") from None
-    if hello.get("version") != VERSION:
+    if version != VERSION:
         connection.close()
-        raise PortError(f"{channel!r} speaks version {hello.get('version')}, this is {VERSION}")
+        raise PortError(f"{channel!r} speaks version {version}, this is {VERSION}")
     return connection, hello
 
 

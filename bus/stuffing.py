@@ -1,17 +1,18 @@
-"""Counts the stuff bits of CAN: after five equal bits the sender inserts one of the other value (ISO 11898-1).
+"""Counts the stuff bits of CAN: after five equal bits the sender inserts one of the other value (ISO
+11898-1).
 
-A stuff bit is counted when the bit after it is sent. So the count of a CAN FD frame's dynamically stuffed part is
-right as it stands (a fixed stuff bit follows it in any case), and a classical frame, whose CRC may end in a stuff
-bit, adds ``pending(state)``.
+A stuff bit is counted when the bit after it is sent. So the count of a CAN FD frame's dynamically stuffed
+part is right as it stands (a fixed stuff bit follows it in any case), and a classical frame, whose CRC may
+end in a stuff bit, adds ``pending(state)``.
 
-A *state* is ``8 * (5 * last bit + run length - 1)`` plus the number of stuff bits that the last step inserted.
+A *state* is ``8 * (5 * last bit + run length - 1)`` plus, in its lowest three bits, the number of stuff bits
+that the last step inserted.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-COUNT = 7  # mask of the count in a state
 START = 0  # after the dominant start-of-frame bit
 
 
@@ -25,26 +26,30 @@ def _step(position: int, bit: int) -> tuple[int, int]:
     return 5 * bit + run - 1, int(stuffed)
 
 
-def _tables() -> tuple[np.ndarray, np.ndarray]:
-    """States after one byte (10 × 256) and after two (10 × 65536, indexed by the pair as a native 16-bit word)."""
+def _tables() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """States after seven bits (10 × 128), after a byte (10 × 256), and after two bytes (10 × 65536, indexed
+    by the pair as a native 16-bit word)."""
     position = np.arange(10)[:, None]  # after no bit at all
     count = np.zeros((10, 1), dtype=np.int64)
     step = np.array([[_step(p, bit) for bit in (0, 1)] for p in range(10)])
+    by_width = []
     for _ in range(8):  # each pass appends one bit: the number of words doubles
         position, count = (
             step[position][..., 0].reshape(10, -1),
             (count[..., None] + step[position][..., 1]).reshape(10, -1),
         )
-    byte = 8 * position + count
+        by_width.append(8 * position + count)
+    seven, byte = by_width[6:]
     first, second = byte[:, :, None], byte[byte // 8]
-    pair = (second + (first & COUNT)).reshape(10, -1)
+    pair = (second + (first & 7)).reshape(10, -1)
     words = np.stack(np.divmod(np.arange(65536), 256), axis=1).astype(np.uint8).view(np.uint16).ravel()
     pair_by_word = np.empty_like(pair)
     pair_by_word[:, words] = pair
-    return byte.astype(np.uint8), pair_by_word.astype(np.uint8)
+    return seven.astype(np.uint8), byte.astype(np.uint8), pair_by_word.astype(np.uint8)
 
 
-_byte, _pair = _tables()
+_seven, _byte, _pair = _tables()
+_SEVENS = [_seven[state >> 3].tobytes() for state in range(80)]
 _BYTES = [_byte[state >> 3].tobytes() for state in range(80)]
 _per_position = [row.tobytes() for row in _pair]
 _PAIRS = [_per_position[state >> 3] for state in range(80)]
@@ -72,6 +77,13 @@ def after_bytes(state: int, data: bytes) -> tuple[int, int]:
         state = _PAIRS[state][word]
         count += state & 7
     return state, count
+
+
+def after_15_bits(state: int, value: int) -> tuple[int, int]:
+    """As ``after_bits(state, value, 15)``, fast."""
+    first = _BYTES[state][value >> 7]
+    state = _SEVENS[first][value & 0x7F]
+    return state, (first & 7) + (state & 7)
 
 
 def pending(state: int) -> int:

@@ -1,4 +1,4 @@
-"""How long a frame occupies the bus, from its bits (ISO 11898-1:2015): exact, stuff bits of the real content included.
+"""How long a frame occupies the bus, exactly, from its bits and their stuff bits (ISO 11898-1:2015).
 
 Bit fields, and the rate at which they run::
 
@@ -8,10 +8,10 @@ Bit fields, and the rate at which they run::
                 before them and after every fourth of them  |  delimiter 1
     both        ACK 1  delimiter 1  EOF 7  intermission 3                                arbitration rate
 
-The part left of the first bar is stuffed dynamically. The switch of rates happens at the sample point of BRS and, back,
-at that of the CRC delimiter. Of these two bits taken together, whatever the sample points are (the same for both
-switches), one nominal and one data bit time remain: BRS is counted wholly at the arbitration rate, the CRC
-delimiter wholly at the data rate, and the sum is exact.
+The part left of the first bar is stuffed dynamically. The rate is switched at the sample point of BRS and,
+back, at that of the CRC delimiter. Whatever the two rates' sample points are, these two bits together last
+one bit time of either rate: BRS is counted wholly at the arbitration rate, the CRC delimiter wholly at the
+data rate, and the sum is exact.
 """
 
 from __future__ import annotations
@@ -25,7 +25,6 @@ from bus.frames import CAN_FD_LENGTHS, Frame, checked
 
 INTERMISSION = 3
 TAIL = 1 + 1 + 7 + INTERMISSION  # ACK, its delimiter, end of frame, intermission
-RECEIVED = TAIL - INTERMISSION - 1  # bits of the tail when receivers accept a frame: EOF's last but one is over
 _DLC = {length: code for code, length in enumerate(CAN_FD_LENGTHS)}
 _SECOND = 10**9
 
@@ -79,7 +78,8 @@ def _prefix(identifier: int, length: int, fd: bool, brs: bool, extended: bool) -
 
 
 def frame_bits(frame: Frame) -> FrameBits:
-    """Bits of ``frame`` before its tail of TAIL bits, per rate. Raises InvalidFrameError for an impossible frame."""
+    """Bits of ``frame`` before its tail of TAIL bits, per rate. Raises InvalidFrameError for an impossible
+    frame."""
     identifier, data, fd, brs, extended = frame
     state, crc, slow, fast, switches = _prefix(identifier, len(data), fd, brs, extended)
     state, stuffed = stuffing.after_bytes(state, data)
@@ -89,7 +89,7 @@ def frame_bits(frame: Frame) -> FrameBits:
         return FrameBits(slow + stuffed, 0)
     for byte in data:
         crc = (crc << 8 & 0x7FFF) ^ _CRC15[crc >> 7 ^ byte]
-    state, stuffed_crc = stuffing.after_bits(state, crc, 15)
+    state, stuffed_crc = stuffing.after_15_bits(state, crc)
     return FrameBits(slow + stuffed + stuffed_crc + stuffing.pending(state), 0)
 
 
@@ -105,15 +105,26 @@ class BitRates:
         self._fast = fast.numerator * slow.denominator
 
     def ns(self, slow: int, fast: int = 0) -> int:
-        """Time of ``slow`` bits at the arbitration rate and ``fast`` at the data rate, rounded up to whole ns."""
+        """Time of ``slow`` bits at the arbitration rate and ``fast`` at the data rate, ns, rounded up."""
         return -(-(slow * self._slow + fast * self._fast) // self._denominator)
+
+
+    def ns_until(self, bit: int, bits: FrameBits) -> int:
+        """Time from the start of a frame of ``bits`` to the end of its bit number ``bit`` (from 0), ns."""
+        slow, fast = bits
+        sent = bit + 1
+        if sent <= slow:
+            return self.ns(sent)
+        if sent <= slow + fast:
+            return self.ns(slow, sent - slow)
+        return self.ns(sent - fast, fast)
 
 
 _rates = lru_cache(maxsize=16)(BitRates)
 
 
 def frame_ns(frame: Frame, arbitration_rate: float, data_rate: float) -> int:
-    """Time from the start of ``frame`` until the bus is idle again (intermission included), in ns, rounded up.
+    """Time from the start of ``frame`` until the bus is idle again (intermission included), ns, rounded up.
 
     Rates in bit/s. Raises InvalidFrameError for a frame that no controller could send.
     """

@@ -1,7 +1,9 @@
 """The wire of one CAN bus: arbitration by identifier, frame times from the bits, errors and retransmission.
 
-Simplifications: all receivers acknowledge; there are no error counters; two ports that send the same identifier at
-once do not collide, the lower port goes first.
+Simplifications: all receivers acknowledge; there are no error counters, so no node goes error passive or bus
+off; two ports that send the same identifier at once do not collide, the lower port goes first
+(``collisions`` counts it). Receivers get a frame at the end of its EOF field. A bit error is seen by all
+nodes.
 """
 
 from __future__ import annotations
@@ -14,10 +16,24 @@ from bus.config import BusConfig
 from bus.frames import Frame
 from bus.impairment import ImpairmentModel
 from bus.link import NEVER
-from bus.timing import INTERMISSION, TAIL, BitRates, frame_bits
+from bus.timing import INTERMISSION, TAIL, BitRates, FrameBits, frame_bits
+
+QUEUE = 32  # frames that wait in one port's controller, as many as an M_CAN has transmit buffers
 
 # After a bit error: an active error flag, its echo by the other nodes at worst, delimiter, intermission.
 _ERROR_FRAME_BITS = 6 + 6 + 8 + INTERMISSION
+
+
+_Entry = tuple[int, int, int, int, Frame, FrameBits]  # priority, port, order, offered at, frame, its bits
+
+
+class Wait(NamedTuple):
+    """How long the frames of one identifier waited for the bus, ns."""
+
+    frames: int
+    shortest: int
+    mean: float
+    longest: int
 
 
 class Delivery(NamedTuple):
@@ -29,7 +45,7 @@ class Delivery(NamedTuple):
 
 
 def _priority(frame: Frame) -> int:
-    """Order of arbitration: the identifier's bits as they are sent; a base frame wins against an extended one."""
+    """Order of arbitration: the identifier's bits as they are sent; a base frame beats an extended one."""
     if frame.extended:
         return (frame.id >> 18) << 20 | 1 << 19 | 1 << 18 | (frame.id & 0x3FFFF)
     return frame.id << 20
@@ -38,43 +54,58 @@ def _priority(frame: Frame) -> int:
 class Wire:
     """One bus with ``ports`` ports. Event driven: ``next_time`` tells when ``advance`` has something to do.
 
-    A frame that is offered while the bus is idle takes part in the arbitration of that instant, together with all
-    others offered at the same time: the calendar offers first and advances then. The end of a frame is the end of its
-    EOF field; the next one starts after the intermission.
+    A frame that is offered while the bus is idle takes part in the arbitration of that instant, together with
+    all others offered at the same time: the calendar offers first and advances then. The end of a frame is
+    the end of its EOF field; the next one starts after the intermission.
     """
 
     def __init__(self, name: str, config: BusConfig, ports: int, streams: Callable[[str], Any]) -> None:
         self.name = name
         self.ports = ports
         self._rates = BitRates(config.arbitration_rate, config.data_rate)
+        self._intermission_ns = self._rates.ns(INTERMISSION)
+        self._error_frame_ns = self._rates.ns(_ERROR_FRAME_BITS)
         self._impairment = ImpairmentModel(f"bus.{name}", config, streams)
-        self._waiting: list[tuple[int, int, int, int, Frame]] = []  # priority, port, order, offered at, frame
+        self._waiting: list[_Entry] = []  # a heap: its first entry wins the next arbitration
+        self._queued = [0] * ports
         self._order = 0
         self._free_at = 0  # the bus is idle from here on
-        self._sending: tuple[int, int, Frame, bool] | None = None  # ends at, port, frame, intact
+        self._sending: tuple[int, bool, _Entry] | None = None  # ends at, intact
         self._delayed: list[tuple[int, int, Delivery]] = []  # by time, sequence
         self.busy_ns = 0
         self.sent = 0
         self.lost = 0
         self.errors = 0
+        self.refused = 0  # offered to a full transmit queue
+        self.collisions = 0
         self.longest_wait_ns = 0
+        self._waits: dict[tuple[int, bool], list[int]] = {}  # frames, shortest, sum, longest
         self._next = NEVER
 
-    def offer(self, now_ns: int, port: int, frame: Frame) -> None:
-        """Put ``frame`` into the transmit queue of ``port``."""
+    def offer(self, now_ns: int, port: int, frame: Frame) -> bool:
+        """Put ``frame`` into the transmit queue of ``port``. False when that is full: the frame is refused.
+
+        Raises InvalidFrameError for a frame that no controller could send.
+        """
+        bits = frame_bits(frame)
+        if self._queued[port] >= QUEUE:
+            self.refused += 1
+            return False
+        self._queued[port] += 1
         self._order += 1
-        heapq.heappush(self._waiting, (_priority(frame), port, self._order, now_ns, frame))
+        heapq.heappush(self._waiting, (_priority(frame), port, self._order, now_ns, frame, bits))
         if self._sending is None:
             start = now_ns if now_ns > self._free_at else self._free_at
             if start < self._next:
                 self._next = start
+        return True
 
     def next_time(self) -> int:
         """Time of the next event, ns; NEVER when the bus is idle and nothing is under way."""
         return self._next
 
     def advance(self, now_ns: int) -> list[Delivery]:
-        """Process what happens at ``now_ns``: the end of a frame, the start of the next one, delayed deliveries."""
+        """Process what happens at ``now_ns``: a frame's end, delayed deliveries, the next frame's start."""
         delivered: list[Delivery] = []
         sending = self._sending
         if sending is not None and sending[0] <= now_ns:
@@ -87,31 +118,54 @@ class Wire:
         return delivered
 
     def _start(self, now_ns: int) -> None:
-        _, port, _, offered, frame = heapq.heappop(self._waiting)
-        if now_ns - offered > self.longest_wait_ns:
-            self.longest_wait_ns = now_ns - offered
-        slow, fast = frame_bits(frame)
+        entry = heapq.heappop(self._waiting)
+        priority, port, _, offered, frame, bits = entry
+        if self._waiting and self._waiting[0][0] == priority and self._waiting[0][1] != port:
+            self.collisions += 1
+        slow, fast = bits
         slow += TAIL - INTERMISSION
         damaged = None if self._impairment.clean else self._impairment.damaged_at(slow + fast)
         if damaged is None:
+            self._note_wait(frame, now_ns - offered)
             duration = self._rates.ns(slow, fast)
-            gap = self._rates.ns(INTERMISSION)
+            gap = self._intermission_ns
         else:
-            duration = self._rates.ns(slow, fast) * (damaged + 1) // (slow + fast)
-            gap = self._rates.ns(_ERROR_FRAME_BITS)
-        self._sending = (now_ns + duration, port, frame, damaged is None)
+            duration = self._rates.ns_until(damaged, bits)
+            gap = self._error_frame_ns
+        self._sending = (now_ns + duration, damaged is None, entry)
         self._free_at = now_ns + duration + gap
         self.busy_ns += duration + gap
 
-    def _finish(self, now_ns: int, sending: tuple[int, int, Frame, bool], delivered: list[Delivery]) -> None:
-        _, port, frame, intact = sending
-        self._sending = None
-        if not intact:
-            self.errors += 1
-            self._order += 1
-            heapq.heappush(self._waiting, (_priority(frame), port, self._order, now_ns, frame))
+    def _note_wait(self, frame: Frame, wait: int) -> None:
+        if wait > self.longest_wait_ns:
+            self.longest_wait_ns = wait
+        key = (frame.id, frame.extended)
+        entry = self._waits.get(key)
+        if entry is None:
+            self._waits[key] = [1, wait, wait, wait]
             return
+        entry[0] += 1
+        entry[2] += wait
+        if wait > entry[3]:
+            entry[3] = wait
+        elif wait < entry[1]:
+            entry[1] = wait
+
+    def waits(self) -> dict[tuple[int, bool], Wait]:
+        """By (identifier, extended): how long frames waited until the attempt that succeeded."""
+        entries = sorted(self._waits.items())
+        return {key: Wait(n, low, total / n, high) for key, (n, low, total, high) in entries}
+
+    def _finish(self, now_ns: int, sending: tuple[int, bool, _Entry], delivered: list[Delivery]) -> None:
+        _, intact, entry = sending
+        self._sending = None
+        if not intact:  # the controller sends it again, ahead of later frames of the same identifier
+            self.errors += 1
+            heapq.heappush(self._waiting, entry)
+            return
+        port, frame = entry[1], entry[4]
         self.sent += 1
+        self._queued[port] -= 1
         impairment = self._impairment
         if impairment.clean:
             delivered.append(Delivery(now_ns, port, frame))
@@ -141,13 +195,16 @@ class Wire:
         self._impairment.set(key, value)
 
     _PLAIN = (
-        "_order", "_free_at", "_sending", "busy_ns", "sent", "lost", "errors", "longest_wait_ns", "_next",
+        "_order", "_free_at", "_sending", "busy_ns", "sent", "lost", "errors", "refused", "collisions",
+        "longest_wait_ns", "_next",
     )  # fmt: skip
 
     def snapshot(self) -> dict[str, Any]:
         return {
             **{name: getattr(self, name) for name in self._PLAIN},
             "waiting": list(self._waiting),
+            "queued": list(self._queued),
+            "waits": {key: list(entry) for key, entry in self._waits.items()},
             "delayed": list(self._delayed),
             "impairment": self._impairment.snapshot(),
         }
@@ -156,5 +213,7 @@ class Wire:
         for name in self._PLAIN:
             setattr(self, name, state[name])
         self._waiting = list(state["waiting"])
+        self._queued = list(state["queued"])
+        self._waits = {key: list(entry) for key, entry in state["waits"].items()}
         self._delayed = list(state["delayed"])
         self._impairment.restore(state["impairment"])

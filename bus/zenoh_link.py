@@ -1,6 +1,7 @@
-"""Key expressions and payloads of the Zenoh link between gateway and central controller, and its session settings.
+"""Key expressions, payloads and session settings of the Zenoh link between gateway and central controller.
 
-A bundle carries all that arrived since the last tick, or the commands and telemetry of an answer. Little-endian::
+A bundle carries all that arrived since the last tick, or the commands and telemetry of an answer;
+little-endian::
 
     u16 magic 0x4C48  u8 version  u8 0  u32 sequence  i64 time (ns)  u16 items  u16 values
     items:  i64 arrival (ns)  u32 CAN identifier  u8 source (bus, or 255: IMU)  u8 length  data
@@ -69,7 +70,7 @@ def bundle_sequence(payload: bytes) -> int:
         raise MalformedBundleError(f"{len(payload)} bytes are less than a bundle's header of {_HEADER.size}")
     magic, version, _, sequence, _, _, _ = _HEADER.unpack_from(payload)
     if magic != MAGIC or version != VERSION:
-        raise MalformedBundleError(f"magic {magic:#06x} version {version}: expected {MAGIC:#06x} version {VERSION}")
+        raise MalformedBundleError(f"magic {magic:#06x} version {version}, not {MAGIC:#06x} {VERSION}")
     return sequence
 
 
@@ -101,8 +102,8 @@ def session_config(listen: str | None, connect: str | None, router: bool = False
     Args:
         listen: endpoint to listen at.
         connect: endpoint to connect to.
-        router: ``connect`` is a router of the user's; join it as a client, with stock transport settings. Otherwise
-            both ends are this project's, and the transport drops what costs latency.
+        router: ``connect`` is a router of the user's; join it as a client, with stock transport settings.
+            Otherwise both ends are this project's, and the transport drops what costs latency.
     """
     import zenoh
 

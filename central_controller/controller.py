@@ -85,7 +85,7 @@ class Controller:
         self.telemetry = np.zeros(len(telemetry_fields(robot)))
         self._states: list[State | None] = [None] * n
         self._arrivals = [0] * n
-        self._fresh = 0  # drive states since the last tick
+        self._fresh = [False] * n  # whether a state came since the last tick
         self._gyro, self._force = np.zeros(3), np.zeros(3)
         self._imu_seen = False
         self._phase = Phase.OFF
@@ -129,7 +129,7 @@ class Controller:
             return
         self._states[joint] = state
         self._arrivals[joint] = arrival_ns
-        self._fresh += 1
+        self._fresh[joint] = True
         self._position[joint] = state.position
         self._velocity[joint] = state.velocity
         self._sensed[joint] = state.torque
@@ -139,8 +139,8 @@ class Controller:
     def tick(self, now_ns: int) -> list[tuple[int, int, bytes]]:
         """One servo cycle. Returns (bus, identifier, payload) of each command."""
         if self._phase != Phase.OFF:
-            self._missed += self._n - self._fresh
-        self._fresh = 0
+            self._missed += self._fresh.count(False)
+        self._fresh = [False] * self._n
         complete = self._imu_seen and None not in self._states
         if not complete:
             return self._commands(now_ns, active=False)
@@ -229,7 +229,7 @@ class Controller:
 
     # --- state ----------------------------------------------------------------------------------------------------
 
-    _PLAIN = ("_fresh", "_imu_seen", "_phase", "_since_ns", "_counter", "_missed", "_malformed")
+    _PLAIN = ("_imu_seen", "_phase", "_since_ns", "_counter", "_missed", "_malformed")
     _ARRAYS = (
         "_u", "_line", "_torque", "_reaction", "_internal", "_position", "_velocity", "_sensed", "_gyro", "_force",
         "_reference", "_start", "telemetry",
@@ -240,6 +240,8 @@ class Controller:
             **{name: getattr(self, name) for name in self._PLAIN},
             **{name: getattr(self, name).copy() for name in self._ARRAYS},
             "states": list(self._states),
+            "fresh": list(self._fresh),
+            "model": (self.model.com.copy(), self.model.com_velocity.copy(), self.model.rpy.copy()),
             "arrivals": list(self._arrivals),
             "estimator": self._estimator.snapshot(),
             "feedback": self._feedback.snapshot(),
@@ -254,7 +256,10 @@ class Controller:
             else:
                 getattr(self, name)[:] = state[name]
         self._states = list(state["states"])
+        self._fresh = list(state["fresh"])
         self._arrivals = list(state["arrivals"])
         self._estimator.restore(state["estimator"])
         self._feedback.restore(state["feedback"])
-        self.model.update(self._estimator.q, self._estimator.v)
+        # the telemetry shows the model; all else in it is computed anew before it is used
+        model = self.model
+        model.com[:], model.com_velocity[:], model.rpy[:] = state["model"]

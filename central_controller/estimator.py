@@ -59,8 +59,10 @@ class BaseEstimator:
         up_body = self.rotation[2]  # world's up in the base's frame
         size = math.sqrt(force @ force)
         if size > 1.0:
-            rate_correction = np.cross(force / size, up_body)
-            step = rate * self._dt + self._pull * rate_correction
+            fx, fy, fz = (force / size).tolist()
+            ux, uy, uz = up_body.tolist()
+            correction = np.array([fy * uz - fz * uy, fz * ux - fx * uz, fx * uy - fy * ux])  # force × up
+            step = rate * self._dt + self._pull * correction
         else:
             step = rate * self._dt
         self.rotation = self.rotation @ pin.exp3(step)

@@ -52,6 +52,7 @@ class RobotModel:
         self.nq, self.nv = self.model.nq, self.model.nv
         n = self.nv
         self._zero = np.zeros(n)
+        self._lower = np.tril_indices(n, -1)
         # column-major, as the generated code reads them
         self.A = np.zeros((n, n), order="F")
         self.h = np.zeros(n)
@@ -77,14 +78,12 @@ class RobotModel:
     def update(self, q: np.ndarray, v: np.ndarray) -> None:
         """Compute all attributes at coordinates ``q`` (nq,) and velocity ``v`` (nv,)."""
         model, data = self.model, self.data
-        pin.forwardKinematics(model, data, q, v, self._zero)
-        pin.computeJointJacobians(model, data)
         self.A[:] = pin.crba(model, data, q)
-        lower = np.tril_indices(self.nv, -1)
-        self.A[lower] = self.A.T[lower]
+        self.A[self._lower] = self.A.T[self._lower]
         self.h[:] = pin.nonLinearEffects(model, data, q, v)
         # nonLinearEffects overwrites accelerations with gravity in them: bias accelerations need them without
         pin.forwardKinematics(model, data, q, v, self._zero)
+        pin.computeJointJacobians(model, data)
         for i, frame in enumerate(self._feet):
             self.feet[i] = pin.updateFramePlacement(model, data, frame).translation
             self.Js[3 * i : 3 * i + 3] = pin.getFrameJacobian(model, data, frame, pin.LOCAL_WORLD_ALIGNED)[:3]

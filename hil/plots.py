@@ -10,10 +10,10 @@ from typing import Any
 import matplotlib
 
 matplotlib.use("Agg")
-import matplotlib.pyplot as plt  # noqa: E402
-import numpy as np  # noqa: E402
+import matplotlib.pyplot as plt
+import numpy as np
 
-from hil.signals import Signals  # noqa: E402
+from hil.signals import Signals
 
 _POINTS = 1500
 SERVO_PERIOD_S = 667e-6

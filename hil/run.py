@@ -162,7 +162,7 @@ def assemble(request: Request, wrap: Callable[[str, Any], Any] = lambda _, node:
                 assembly.tap.close()
             recorder.close()
             if session is not None:
-                session.close()
+                controller.close()
 
 
 def run(request: Request, progress: Progress | None = None, prepare: Callable[[Assembly], None] | None = None) -> Outcome:

@@ -10,6 +10,7 @@ its next PWM period), let the joints compute, and meanwhile step the physics to 
 
 from __future__ import annotations
 
+import contextlib
 from collections import deque
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, Protocol
@@ -168,8 +169,9 @@ class System:
                 self._arrived.append((arrival, source, can_id, data))
         if self.command_link.next_time() == now:
             for _, item in self.command_link.pop_due(now):
-                bus, frame = self.gateway.from_link(item)
-                self.wires[bus].offer(now, GATEWAY_PORT, frame)
+                with contextlib.suppress(messages.MalformedMessageError):  # the gateway has counted it
+                    bus, frame = self.gateway.from_link(item)
+                    self.wires[bus].offer(now, GATEWAY_PORT, frame)
         if now == self._isr_ns:
             self.clock.wait_until(now)
             self._tick_joints(now)

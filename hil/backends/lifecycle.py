@@ -128,7 +128,10 @@ class Family:
         self._progress += 1
 
     def _read(self, whom: str) -> None:
-        total = os.eventfd_read(self.done)
+        try:
+            total = os.eventfd_read(self.done)
+        except InterruptedError:
+            return  # the handler has written to it: the caller reads again
         if total >= _ATTENTION:
             self.check()
             self._check_stuck(whom)

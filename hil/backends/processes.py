@@ -135,6 +135,7 @@ class ProcessController:
         self._sequence = 0
         self._answer = b""
         self.malformed = 0
+        self.session: zenoh.Session | None = None
         self.endpoint = router or f"tcp/127.0.0.1:{_free_port()}"
         self._router = router
         self._pipe, theirs = _pipe()
@@ -165,6 +166,13 @@ class ProcessController:
         while not self._publisher.matching_status.matching:
             self._family.check()
         return self.session
+
+    def close(self) -> None:
+        """Undeclare and close: a session left open would keep the process from ending."""
+        if self.session is not None:
+            self._subscriber.undeclare()
+            self.session.close()
+            self.session = None
 
     def _receive(self, sample: zenoh.Sample) -> None:
         """On a thread of Zenoh's."""
