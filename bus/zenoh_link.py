@@ -123,3 +123,12 @@ def session_config(listen: str | None, connect: str | None, router: bool = False
     for key, value in settings.items():
         config.insert_json5(key, json.dumps(value))
     return config
+
+
+def declare_publisher(session: Any, key: str) -> Any:
+    """A publisher on ``session`` that neither batches nor drops."""
+    import zenoh
+
+    return session.declare_publisher(
+        key, express=True, congestion_control=zenoh.CongestionControl.BLOCK, priority=zenoh.Priority.REAL_TIME
+    )

@@ -80,14 +80,6 @@ def assemble(request: Request, wrap: Callable[[str, Any], Any] = lambda _, node:
     scenario = request.scenario
     robot = description.load(scenario.robot)
     random = streams(request.seed)
-    config = scenario.controller
-
-    def build_controller() -> Any:
-        from central_controller.controller import Controller
-
-        model = description.load(scenario.robot, config.variant)
-        return Controller(model, config, compile=compile_function)
-
     with Family() as family:
         if request.clock == "wall":
             clock: VirtualClock | WallClock = WallClock(round(1e9 / scenario.firmware.rate))
@@ -107,7 +99,7 @@ def assemble(request: Request, wrap: Callable[[str, Any], Any] = lambda _, node:
 
             shared = SharedPins(len(nodes))
             channel = {name: bus.name for bus in robot.buses for name in bus.joints}
-            controller = ProcessController(family, run_name, build_controller, request.zenoh)
+            controller = ProcessController(family, run_name, scenario, request.zenoh)
             joints = ProcessJoints(
                 family, nodes, robot.joint_names, [channel[n] for n in robot.joint_names], shared
             )
@@ -121,10 +113,12 @@ def assemble(request: Request, wrap: Callable[[str, Any], Any] = lambda _, node:
             world.attach_pins(shared.inputs, shared.outputs)
             session = controller.open()
         else:
+            from central_controller.controller import Controller
             from hil.backends.inline import InlineController, InlineJoints
 
             joints = InlineJoints(nodes, world.pins_in, world.pins_out)
-            controller = InlineController(build_controller())
+            model = description.load(scenario.robot, scenario.controller.variant)
+            controller = InlineController(Controller(model, scenario.controller, compile=compile_function))
 
         from central_controller.controller import telemetry_fields
         from hil.recorder import Recorder

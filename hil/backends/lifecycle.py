@@ -7,10 +7,12 @@ import gc
 import multiprocessing
 import os
 import signal
+import subprocess
 import sys
 import time
 import traceback
 from collections.abc import Callable
+from multiprocessing.connection import Connection
 from typing import Any
 
 from hil.errors import EmulationError, Interrupted
@@ -35,6 +37,11 @@ def quiet_collector() -> None:
     gc.collect()
     gc.freeze()
     gc.set_threshold(100_000, 50, 50)
+
+
+def _status(process: Any) -> int | None:
+    """Exit status of a child, None while it lives."""
+    return process.poll() if isinstance(process, subprocess.Popen) else process.exitcode
 
 
 class Family:
@@ -98,6 +105,15 @@ class Family:
         process.start()
         self._processes[name] = process
 
+    def execute(self, name: str, module: str, pipe: Connection) -> None:
+        """Start ``python -m module FD PARENT`` in a process group of its own (Ctrl-C does not reach it)."""
+        descriptor = pipe.fileno()
+        command = [sys.executable, "-m", module, str(descriptor), str(os.getpid())]
+        self._processes[name] = subprocess.Popen(
+            command, stdin=subprocess.DEVNULL, pass_fds=[descriptor], process_group=0
+        )
+        pipe.close()
+
     @property
     def pids(self) -> dict[str, int]:
         """Process id of every child by name."""
@@ -108,8 +124,8 @@ class Family:
         if self._signal is not None:
             raise Interrupted(self._signal)
         for name, process in self._processes.items():
-            if process.exitcode is not None:
-                code = process.exitcode
+            code = _status(process)
+            if code is not None:
                 how = f"was killed by {signal.Signals(-code).name}" if code < 0 else f"ended with status {code}"
                 raise EmulationError(f"the process of {name} (pid {process.pid}) {how}")
 
@@ -151,5 +167,5 @@ class Family:
         for process in self._processes.values():
             process.kill()
         for process in self._processes.values():
-            process.join()
+            process.wait() if isinstance(process, subprocess.Popen) else process.join()
         self._processes.clear()

@@ -10,8 +10,7 @@ from __future__ import annotations
 import mmap
 import os
 import socket
-import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from multiprocessing.connection import Connection
 from typing import TYPE_CHECKING, Any
 
@@ -21,15 +20,16 @@ import zenoh
 from bus.frames import Frame
 from bus.ports import ShmPort
 from bus.python_can import HilBus
-from bus.zenoh_link import MalformedBundleError, bundle_sequence, encode_bundle, keys, session_config
-from hil.backends.inline import read_reply, serve
+from bus.zenoh_link import bundle_sequence, declare_publisher, encode_bundle, keys, session_config
+from hil.backends.inline import read_reply
 from hil.backends.lifecycle import REPLY, Family, quiet_collector
+from hil.backends.state_pipe import connections, receive, serve_pipe
 from hil.errors import EmulationError
 from hil.system import Item
 from robots import pins
 
 if TYPE_CHECKING:
-    from central_controller.controller import Controller
+    from hil.scenario import Scenario
     from joint_firmware.firmware import JointFirmware
 
 _TICK, _SERVE_PIPE = 0, 1
@@ -70,7 +70,7 @@ class ProcessJoints:
         self._pipes: list[Connection] = []
         for j, (node, name) in enumerate(zip(nodes, names, strict=True)):
             node.attach(shared.inputs[j], shared.outputs[j])
-            ours, theirs = _pipe()
+            ours, theirs = connections()
             self._pipes.append(ours)
             port = ShmPort(shared.ports[j], firmware=True)
             family.spawn(name, _joint_main, node, channels[j], port, shared.orders[j], self._go[j], family.done, theirs)
@@ -93,7 +93,7 @@ class ProcessJoints:
         answers = []
         for pipe, request in zip(self._pipes, requests, strict=True):
             pipe.send(request)
-            answers.append(_receive(self._family, pipe))
+            answers.append(receive(self._family, pipe))
         self._family.wait_joints(self._count)
         for order in self._orders:
             order[1] = _TICK
@@ -119,7 +119,7 @@ def _joint_main(
             for frame in tick(order[0], receive()):
                 send(frame)
         else:
-            _serve_pipe(node, pipe)
+            serve_pipe(node, pipe)
         finished(done, 1)
 
 
@@ -129,7 +129,7 @@ class ProcessController:
     Answers are awaited by their sequence number.
     """
 
-    def __init__(self, family: Family, run: str, build: Callable[[], Controller], router: str | None) -> None:
+    def __init__(self, family: Family, run: str, scenario: Scenario, router: str | None) -> None:
         self._family = family
         self._run = run
         self._sequence = 0
@@ -138,31 +138,26 @@ class ProcessController:
         self.session: zenoh.Session | None = None
         self.endpoint = router or f"tcp/127.0.0.1:{_free_port()}"
         self._router = router
-        self._pipe, theirs = _pipe()
-        family.spawn("controller", _controller_main, run, build, router, self.endpoint, theirs)
+        self._pipe, theirs = connections()
+        family.execute("controller", "hil.backends.controller_node", theirs)
+        self._pipe.send((run, scenario.robot, scenario.controller, self._router))
 
     def open(self) -> zenoh.Session:
         """Open the launcher's session (after all children were forked: a session has threads) and meet the
         controller's. Returns the session."""
-        config = (
-            session_config(None, self._router, router=True)
-            if self._router
-            else session_config(self.endpoint, None)
-        )
+        if self._router:
+            config = session_config(None, self._router, router=True)
+        else:
+            config = session_config(self.endpoint, None)
         try:
             self.session = zenoh.open(config)
         except zenoh.ZError as error:
             raise EmulationError(f"Zenoh could not be opened at {self.endpoint}: {error}") from None
         names = keys(self._run)
         self._subscriber = self.session.declare_subscriber(names.command, self._receive)
-        self._publisher = self.session.declare_publisher(
-            names.state,
-            express=True,
-            congestion_control=zenoh.CongestionControl.BLOCK,
-            priority=zenoh.Priority.REAL_TIME,
-        )
+        self._publisher = declare_publisher(self.session, names.state)
         self._pipe.send(self.endpoint)
-        _receive(self._family, self._pipe)  # its session stands, its controller is built
+        receive(self._family, self._pipe)  # its session stands, its controller is built
         while not self._publisher.matching_status.matching:
             self._family.check()
         return self.session
@@ -199,64 +194,13 @@ class ProcessController:
     def _ask(self, request: tuple[str, Any]) -> Any:
         self._publisher.put(b"")  # an empty sample: look at the pipe
         self._pipe.send(request)
-        return _receive(self._family, self._pipe)
+        return receive(self._family, self._pipe)
 
     def snapshot(self) -> Any:
         return self._ask(("snapshot", None))
 
     def restore(self, state: Any) -> None:
         self._ask(("restore", state))
-
-
-def _controller_main(
-    run: str, build: Callable[[], Controller], router: str | None, endpoint: str, pipe: Connection
-) -> None:
-    controller = build()
-    endpoint = pipe.recv()  # the launcher's session listens by now
-    session = zenoh.open(session_config(None, endpoint, router=router is not None))
-    names = keys(run)
-    inbox = session.declare_subscriber(names.state, zenoh.handlers.FifoChannel(64))
-    publisher = session.declare_publisher(
-        names.command,
-        express=True,
-        congestion_control=zenoh.CongestionControl.BLOCK,
-        priority=zenoh.Priority.REAL_TIME,
-    )
-    pipe.send("ready")
-    quiet_collector()
-    while True:
-        bundle = inbox.recv().payload.to_bytes()
-        if not bundle:
-            _serve_pipe(controller, pipe)
-            continue
-        try:
-            publisher.put(serve(controller, bundle))
-        except MalformedBundleError as error:  # not from the launcher, which awaits its own answer
-            sys.stderr.write(f"controller: ignored a malformed sample ({error})\n")
-
-
-def _serve_pipe(node: Any, pipe: Connection) -> None:
-    """Answer one request for a node's state, if there is one: the order to look may be anybody's."""
-    if not pipe.poll(1.0):
-        return
-    what, state = pipe.recv()
-    pipe.send(node.snapshot() if what == "snapshot" else node.restore(state))
-
-
-def _pipe() -> tuple[Connection, Connection]:
-    ours, theirs = socket.socketpair()
-    return Connection(ours.detach()), Connection(theirs.detach())
-
-
-def _receive(family: Family, pipe: Connection) -> Any:
-    """Receive from a child, noticing its death."""
-    while not pipe.poll(0.2):
-        family.check()
-    try:
-        return pipe.recv()
-    except EOFError:
-        family.check()
-        raise EmulationError("a process of the run closed its pipe") from None
 
 
 def _free_port() -> int:
