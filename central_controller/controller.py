@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import struct
 from collections.abc import Callable
 from enum import IntEnum
 from typing import Any
@@ -12,16 +13,20 @@ import numpy as np
 
 from bus import messages
 from bus.messages import Controlword, GainSet, Mode, Setpoint, State, Statusword
+from central_controller.binding import Bound
 from central_controller.config import ControllerConfig
-from central_controller.estimator import BaseEstimator
+from central_controller.estimator import Hanging, filter_constants
+from central_controller.law import ORIENTATION, control, memory_size, predict
 from central_controller.model import RobotModel
-from central_controller.path import offset
-from central_controller.tasks import TaskFeedback
-from central_controller.wbosc import whole_body_control
+from central_controller.path import path_constants
+from central_controller.tasks import task_gains
 from robots import imu
 from robots.description import Robot
 
 IMU_SOURCE = 255
+_FIELDS = len(State._fields)
+_WORD, _POSITION, _VELOCITY, _TORQUE = map(State._fields.index, ("statusword", "position", "velocity", "torque"))
+_TORQUE_LIMIT = 500.0  # N m: the drives' own limits are lower
 
 
 class Phase(IntEnum):
@@ -33,12 +38,17 @@ class Phase(IntEnum):
     ON = 3
 
 
-_NEXT_CONTROLWORD = {
+_MASK = Statusword.MASK
+# Answers to a drive's state; to any other: off. While the robot stands, a drive that dropped out is not brought back.
+_WHILE_ENABLING = {
     Statusword.SWITCH_ON_DISABLED: Controlword.SHUTDOWN,
     Statusword.READY_TO_SWITCH_ON: Controlword.SWITCH_ON,
     Statusword.SWITCHED_ON: Controlword.ENABLE_OPERATION,
     Statusword.OPERATION_ENABLED: Controlword.ENABLE_OPERATION,
 }
+_WHILE_STANDING = {Statusword.OPERATION_ENABLED: Controlword.ENABLE_OPERATION}
+
+_NODE_FIELDS = ("state_age", "phase", "missed_states", "malformed")  # not of the control law
 
 
 def telemetry_fields(robot: Robot) -> list[str]:
@@ -47,7 +57,7 @@ def telemetry_fields(robot: Robot) -> list[str]:
     names += ["com_reference.x", "com_reference.z", "roll", "pitch", "yaw", "roll_reference", "pitch_reference"]
     names += ["internal_force", "internal_force_reference"]
     names += [f"{what}.{j}" for what in ("torque_command", "torque_sensed", "q", "dq") for j in robot.joint_names]
-    return [*names, "state_age", "phase", "missed_states", "malformed"]
+    return [*names, *_NODE_FIELDS]
 
 
 def _identity(function: ca.Function) -> ca.Function:
@@ -70,196 +80,169 @@ class Controller:
         names = robot.joint_names
         self._joint_of = {messages.STATE + joint.node_id: names.index(joint.name) for joint in robot.joints}
         self._buses = [[names.index(name) for name in bus.joints] for bus in robot.buses]
-        self._dt = 1.0 / config.rate
-        self.model = RobotModel(robot)
-        self._estimator = BaseEstimator(self.model, config)
-        self._feedback = TaskFeedback(config.tasks, self._dt)
-        self._u, self._line = np.zeros(4), np.zeros(3)
-        self._force_reference = np.array([config.internal_force.reference])
-        gain = config.internal_force.gain if config.internal_force.feedback else 0.0
-        self._force_gain = np.array([gain])
-        self._torque, self._reaction, self._internal = np.zeros(n), np.zeros(6), np.zeros(1)
-        self._position, self._velocity, self._sensed = np.zeros(n), np.zeros(n), np.zeros(n)
-        self._bind(compile(whole_body_control(2, 4)))
+        self._model = RobotModel(robot)
+        self._hanging = Hanging(config.rate)
 
+        # the memory that the compiled functions work in
         self.telemetry = np.zeros(len(telemetry_fields(robot)))
-        self._states: list[State | None] = [None] * n
+        self._torque, self._node_fields = self.telemetry[15 : 15 + n], self.telemetry[-len(_NODE_FIELDS) :]
+        self._memory, self._memory_next = np.zeros(memory_size(n)), np.zeros(memory_size(n))
+        self._memory[ORIENTATION] = self._hanging.quaternion
+        self._gyro, self._force = np.zeros(3), np.zeros(3)
+        self._counts = np.zeros(3 * n)  # positions, velocities, torques as the drives send them
+        self._start = np.zeros(2)  # centre of mass x, z when the drives were on
+        self._schedule = np.zeros(4)
+        self._gains = task_gains(config.tasks, 1.0 / config.rate)
+        self._q, self._v = np.zeros(self._model.nq), np.zeros(self._model.nv)
+        self._bind(compile)
+        self._unpack_states = struct.Struct("<" + messages.STATE_LAYOUT * n).unpack
+        self._pack_counts = struct.Struct(f"{3 * n}d").pack_into
+
+        self._states: list[bytes] = [b""] * n  # the last of each drive; empty: none yet
+        self._counters = [0] * n  # of these
         self._arrivals = [0] * n
         self._fresh = [False] * n  # whether a state came since the last tick
-        self._gyro, self._force = np.zeros(3), np.zeros(3)
         self._imu_seen = False
         self._phase = Phase.OFF
         self._since_ns = 0  # start of the phase
-        self._reference = np.zeros((3, 4))
-        self._start = np.zeros(4)  # task values captured when the drives were on
         self._counter = 0
         self._missed = 0
         self._malformed = 0
 
-    def _bind(self, function: ca.Function) -> None:
-        model = self.model
-        self._buffer, self._evaluate = function.buffer()
-        arguments = (
-            model.A, model.h, model.Js, model.Jsdot_dq, model.Jt, model.Jtdot_dq, self._u, self._line,
-            self._force_reference, self._force_gain, self._sensed,
-        )  # fmt: skip
-        for index, array in enumerate(arguments):
-            self._buffer.set_arg(index, memoryview(array.T.reshape(-1)))  # a view: the matrices are column-major
-        for index, array in enumerate((self._torque, self._reaction, self._internal)):
-            self._buffer.set_res(index, memoryview(array))
+    def _bind(self, compile: Callable[[ca.Function], ca.Function]) -> None:
+        config = self._config
+        gain = config.internal_force.gain if config.internal_force.feedback else 0.0
+        inputs = {
+            **self._model.sources,
+            "counts": self._counts, "gyro": self._gyro, "zero": self._hanging.zero, "force": self._force,
+            "memory": self._memory, "q": self._q, "v": self._v, "start": self._start, "schedule": self._schedule,
+            "gains": self._gains, "path": path_constants(config.path), "filters": filter_constants(config),
+            "internal_force": np.array([config.internal_force.reference, gain]),
+        }  # fmt: skip
+        law = self.telemetry[: -len(_NODE_FIELDS)]
+        self._predict = Bound(compile(predict(self._n)), inputs, {"q": self._q, "v": self._v})
+        self._control = Bound(
+            compile(control(self._model)), inputs, {"telemetry": law, "memory_next": self._memory_next}
+        )
 
     # --- measurements ---------------------------------------------------------------------------------------------
 
     def receive(self, arrival_ns: int, source: int, can_id: int, data: bytes) -> None:
         """Take one measurement: a drive's frame of bus ``source``, or the IMU's sample. Malformed ones are counted."""
-        try:
-            if source == IMU_SOURCE:
-                self._gyro, self._force = imu.decode(data, self._imu)
+        if source == IMU_SOURCE:
+            try:
+                self._gyro[:], self._force[:] = imu.decode(data, self._imu)
+            except ValueError:
+                self._malformed += 1
+            else:
                 self._imu_seen = True
-                return
-            joint = self._joint_of.get(can_id)
-            if joint is None:
-                return  # an emergency: the statusword of the next state tells the same
-            state = messages.decode_state(data)
-        except ValueError:
+            return
+        joint = self._joint_of.get(can_id)
+        if joint is None:
+            return  # an emergency: the statusword of the next state tells the same
+        if len(data) != messages.STATE_LENGTH:
             self._malformed += 1
             return
-        known = self._states[joint]
-        if known is not None and not messages.newer(state.counter, known.counter):
+        counter = data[0] | data[1] << 8  # the layout's first field
+        if self._states[joint] and not messages.newer(counter, self._counters[joint]):
             return
-        self._states[joint] = state
+        self._states[joint] = data
+        self._counters[joint] = counter
         self._arrivals[joint] = arrival_ns
         self._fresh[joint] = True
-        self._position[joint] = state.position
-        self._velocity[joint] = state.velocity
-        self._sensed[joint] = state.torque
 
     # --- the servo tick -------------------------------------------------------------------------------------------
 
     def tick(self, now_ns: int) -> list[tuple[int, int, bytes]]:
         """One servo cycle. Returns (bus, identifier, payload) of each command."""
-        if self._phase != Phase.OFF:
+        if self._phase is not Phase.OFF:
             self._missed += self._fresh.count(False)
         self._fresh = [False] * self._n
-        complete = self._imu_seen and None not in self._states
-        if not complete:
-            return self._commands(now_ns, active=False)
-        if self._phase == Phase.OFF and now_ns * 1e-9 >= self._config.enable_at:
+        if not self._imu_seen or b"" in self._states:
+            return self._answer(now_ns, [Setpoint(state_counter=counter) for counter in self._counters])
+        if self._phase is Phase.OFF and now_ns * 1e-9 >= self._config.enable_at:
             self._enter(Phase.ENABLING, now_ns)
-        if self._phase == Phase.OFF:
-            self._estimator.hang(self._gyro, self._force)
-            self._estimator.place(self._position, self._velocity)
-            return self._commands(now_ns, active=False)
-        self._estimator.turn(self._gyro, self._force)
-        self._estimator.place(self._position, self._velocity)
-        self.model.update(self._estimator.q, self._estimator.v)
-        if self._phase == Phase.ENABLING and all(
-            s is not None and s.statusword & Statusword.MASK == Statusword.OPERATION_ENABLED for s in self._states
-        ):
-            self._start[:] = self.model.task
-            self._start[2:] = 0.0  # the torso is to stand upright
-            self._enter(Phase.RAMP, now_ns)
-        self._control(now_ns)
-        if self._phase == Phase.RAMP and now_ns - self._since_ns >= self._config.weight_ramp * 1e9:
+
+        fields = self._unpack_states(b"".join(self._states))
+        words, positions = fields[_WORD::_FIELDS], fields[_POSITION::_FIELDS]
+        self._pack_counts(self._counts.data, 0, *positions, *fields[_VELOCITY::_FIELDS], *fields[_TORQUE::_FIELDS])
+        self._predict()
+        if self._phase is Phase.OFF:
+            self._hanging.take(self._gyro, self._force)
+            self._q[3:7], self._v[3:6] = self._hanging.quaternion, 0.0
+        self._model.compute(self._q, self._v)
+        self._plan(now_ns)
+        self._control()
+        self._memory[:] = self._memory_next
+        setpoints = self._setpoints(words, positions)
+        self._advance(words, now_ns)
+        return self._answer(now_ns, setpoints)
+
+    def _plan(self, now_ns: int) -> None:
+        """What the control law is to do at this time of this phase."""
+        phase, schedule = self._phase, self._schedule
+        if phase is Phase.ON:  # the path begins no earlier, or its reference would jump
+            schedule[3] = now_ns * 1e-9 - max(self._config.path.start, self._since_ns * 1e-9)
+        elif phase is Phase.RAMP:
+            ramp = max(self._config.weight_ramp, 1.0 / self._config.rate)
+            schedule[2] = min((now_ns - self._since_ns) * 1e-9 / ramp, 1.0)
+
+    def _advance(self, words: tuple[int, ...], now_ns: int) -> None:
+        """Enter the next phase when this one has done its work."""
+        if self._phase is Phase.ENABLING:
+            if all(word & _MASK == Statusword.OPERATION_ENABLED for word in words):
+                self._start[:] = self.telemetry[0:3:2]
+                self._enter(Phase.RAMP, now_ns)
+                self._schedule[0] = 1.0
+        elif self._phase is Phase.RAMP and now_ns - self._since_ns >= self._config.weight_ramp * 1e9:
             self._enter(Phase.ON, now_ns)
-        return self._commands(now_ns, active=True)
+            self._schedule[1:3] = 1.0
 
     def _enter(self, phase: Phase, now_ns: int) -> None:
         self._phase = phase
         self._since_ns = now_ns
 
-    def _control(self, now_ns: int) -> None:
-        model, reference = self.model, self._reference
-        running = self._phase >= Phase.RAMP
-        reference[:] = 0.0
-        reference[0] = self._start if running else model.task
-        if running:
-            for column, (position, velocity, acceleration) in enumerate(offset(self._config.path, now_ns * 1e-9)):
-                reference[0, column] += position
-                reference[1, column] = velocity
-                reference[2, column] = acceleration
-        self._u[:] = self._feedback.acceleration(
-            reference, model.task, model.task_velocity, self._phase == Phase.ON
-        )
-        line = model.feet[0] - model.feet[1]
-        self._line[:] = line / math.sqrt(line @ line)
-        self._evaluate()
-        if self._phase == Phase.ENABLING:
+    def _setpoints(self, words: tuple[int, ...], positions: tuple[int, ...]) -> list[Setpoint]:
+        """One set-point per joint, from the statuswords and positions (counts) of the drives."""
+        if self._phase < Phase.RAMP:
             self._torque[:] = 0.0
-        elif self._phase == Phase.RAMP:
-            self._torque *= min((now_ns - self._since_ns) * 1e-9 / max(self._config.weight_ramp, self._dt), 1.0)
-
-    def _commands(self, now_ns: int, active: bool) -> list[tuple[int, int, bytes]]:
-        self._counter = (self._counter + 1) & 0xFFFF
+            if self._phase is Phase.OFF:
+                return [Setpoint(state_counter=counter) for counter in self._counters]
         torques = self._torque.tolist()
-        finite = all(map(math.isfinite, torques))
-        mode = Mode.TORQUE if finite else Mode.DAMPING
-        commands = []
-        for bus, joints in enumerate(self._buses):
-            setpoints = []
-            for joint in joints:
-                state = self._states[joint]
-                if state is None or not active:
-                    setpoints.append(Setpoint(state_counter=0 if state is None else state.counter))
-                    continue
-                word = _NEXT_CONTROLWORD.get(state.statusword & Statusword.MASK, Controlword.DISABLE_VOLTAGE)
-                if self._phase >= Phase.RAMP and word != Controlword.ENABLE_OPERATION:
-                    word = Controlword.DISABLE_VOLTAGE  # it dropped out: it is not brought back
-                setpoints.append(Setpoint(
-                    word, mode, GainSet.STANCE, torques[joint] if finite else 0.0, state.position, 0.0, 500.0,
-                    state.counter,
-                ))  # fmt: skip
-            commands.append((bus, messages.COMMAND, messages.encode_command(self._counter, setpoints)))
-        self._report(now_ns)
-        return commands
+        mode = Mode.TORQUE
+        if not math.isfinite(sum(torques)):
+            mode, torques = Mode.DAMPING, [0.0] * self._n
+        answers = _WHILE_STANDING if self._phase >= Phase.RAMP else _WHILE_ENABLING
+        answer, off, gains, radian = answers.get, Controlword.DISABLE_VOLTAGE, GainSet.STANCE, messages.RADIAN
+        return [
+            Setpoint(answer(word & _MASK, off), mode, gains, torque, position * radian, 0.0, _TORQUE_LIMIT, counter)
+            for word, torque, position, counter in zip(words, torques, positions, self._counters, strict=True)
+        ]
 
-    def _report(self, now_ns: int) -> None:
-        row, model, n = self.telemetry, self.model, self._n
-        row[0:3], row[3:6] = model.com, model.com_velocity
-        row[6:8] = self._reference[0, :2]
-        row[8:11] = model.rpy
-        row[11], row[12] = self._reference[0, 3], self._reference[0, 2]
-        row[13], row[14] = self._internal[0], self._force_reference[0]
-        row[15 : 15 + n] = self._torque
-        row[15 + n : 15 + 2 * n] = self._sensed
-        row[15 + 2 * n : 15 + 3 * n] = self._position
-        row[15 + 3 * n : 15 + 4 * n] = self._estimator.v[6:]
-        row[-4] = (now_ns - min(self._arrivals)) * 1e-9
-        row[-3], row[-2], row[-1] = self._phase, self._missed, self._malformed
+    def _answer(self, now_ns: int, setpoints: list[Setpoint]) -> list[tuple[int, int, bytes]]:
+        self._counter = counter = (self._counter + 1) & 0xFFFF
+        self._node_fields[:] = (now_ns - min(self._arrivals)) * 1e-9, self._phase, self._missed, self._malformed
+        return [
+            (bus, messages.COMMAND, messages.encode_command(counter, [setpoints[joint] for joint in joints]))
+            for bus, joints in enumerate(self._buses)
+        ]
 
     # --- state ----------------------------------------------------------------------------------------------------
 
     _PLAIN = ("_imu_seen", "_phase", "_since_ns", "_counter", "_missed", "_malformed")
-    _ARRAYS = (
-        "_u", "_line", "_torque", "_reaction", "_internal", "_position", "_velocity", "_sensed", "_gyro", "_force",
-        "_reference", "_start", "telemetry",
-    )  # fmt: skip
+    _LISTS = ("_states", "_counters", "_arrivals", "_fresh")
+    _ARRAYS = ("telemetry", "_memory", "_gyro", "_force", "_start", "_schedule")  # all else is computed anew
 
     def snapshot(self) -> dict[str, Any]:
         return {
             **{name: getattr(self, name) for name in self._PLAIN},
-            **{name: getattr(self, name).copy() for name in self._ARRAYS},
-            "states": list(self._states),
-            "fresh": list(self._fresh),
-            "model": (self.model.com.copy(), self.model.com_velocity.copy(), self.model.rpy.copy()),
-            "arrivals": list(self._arrivals),
-            "estimator": self._estimator.snapshot(),
-            "feedback": self._feedback.snapshot(),
+            **{name: getattr(self, name).copy() for name in (*self._LISTS, *self._ARRAYS)},
+            "hanging": self._hanging.snapshot(),
         }
 
     def restore(self, state: dict[str, Any]) -> None:
         for name in self._PLAIN:
             setattr(self, name, state[name])
-        for name in self._ARRAYS:
-            if name in ("_gyro", "_force"):
-                setattr(self, name, state[name].copy())
-            else:
-                getattr(self, name)[:] = state[name]
-        self._states = list(state["states"])
-        self._fresh = list(state["fresh"])
-        self._arrivals = list(state["arrivals"])
-        self._estimator.restore(state["estimator"])
-        self._feedback.restore(state["feedback"])
-        # the telemetry shows the model; all else in it is computed anew before it is used
-        model = self.model
-        model.com[:], model.com_velocity[:], model.rpy[:] = state["model"]
+        for name in (*self._LISTS, *self._ARRAYS):
+            getattr(self, name)[:] = state[name]  # in place: the compiled functions are bound to the arrays
+        self._hanging.restore(state["hanging"])

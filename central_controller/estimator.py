@@ -1,46 +1,65 @@
-"""Where the torso is and how it moves, from the IMU, the joints, and feet that stand."""
+"""Where the torso is and how it moves, from the IMU, the joints, and feet that stand.
+
+Orientation by a complementary filter: the gyro is integrated, the accelerometer pulls roll and pitch, the line between
+the standing feet pulls yaw. Position and velocity follow from both feet standing still. The origin is the midpoint of
+the feet's centres. The gyro's zero is the mean of its samples while the robot hangs still.
+"""
 
 from __future__ import annotations
 
 import math
 from typing import Any
 
+import casadi as ca
 import numpy as np
-import pinocchio as pin
 
 from central_controller.config import ControllerConfig
-from central_controller.model import RobotModel
+from central_controller.rotations import compose, exponential, rotation_matrix
 
 _STILL_AFTER = 0.3  # s from the first sample: the robot has come to rest on the hoist
 _YAW_TIME_CONSTANT = 0.5  # s, of the correction by the line between the feet
+_FREE_FALL = 1.0  # m/s²: a smaller specific force does not tell where down is
 
 
-class BaseEstimator:
-    """Orientation by a complementary filter: the gyro is integrated, the accelerometer pulls roll and pitch, the line
-    between the standing feet pulls yaw. Position and velocity follow from both feet standing still. The origin is
-    the midpoint of the feet's centres.
+def filter_constants(config: ControllerConfig) -> np.ndarray:
+    """What a tick takes of each source: its length [s], then the shares of the accelerometer's correction, of the
+    feet's correction of yaw, and of a new joint velocity."""
+    dt = 1.0 / config.rate
+    blend = 1.0 - math.exp(-2.0 * math.pi * config.velocity_cutoff * dt)
+    return np.array([dt, dt / config.orientation_time_constant, dt / _YAW_TIME_CONSTANT, blend])
 
-    The gyro's zero is the mean of its samples while the robot hangs still.
-    """
 
-    def __init__(self, model: RobotModel, config: ControllerConfig) -> None:
-        self._model = model
-        self._dt = 1.0 / config.rate
-        self._pull = self._dt / config.orientation_time_constant
-        self._yaw_pull = self._dt / _YAW_TIME_CONSTANT
-        self._blend = 1.0 - math.exp(-2.0 * math.pi * config.velocity_cutoff * self._dt)
-        self.rotation = np.eye(3)  # base to world
-        self.q, self.v = np.zeros(model.nq), np.zeros(model.nv)
-        self._still_after = round(_STILL_AFTER * config.rate)  # samples
-        self._bias = np.zeros(3)  # of the gyro, rad/s
-        self._sums = np.zeros(6)  # gyro and specific force while hanging
-        self._seen = 0  # samples while hanging
+def turned(quaternion: ca.SX, rate: ca.SX, force: ca.SX, constants: ca.SX) -> ca.SX:
+    """Orientation one tick later, from the angular velocity ``rate`` [rad/s] and the specific force [m/s²]."""
+    up = rotation_matrix(quaternion)[2, :].T  # world's up in the base's frame
+    size = ca.sqrt(ca.dot(force, force))
+    correction = (size > _FREE_FALL) * ca.cross(force, up) / ca.fmax(size, _FREE_FALL)
+    return compose(quaternion, exponential(rate * constants[0] + constants[1] * correction))
+
+
+def yaw_corrected(quaternion: ca.SX, feet: ca.SX, heading: ca.SX, standing: ca.SX, constants: ca.SX) -> tuple:
+    """Orientation for the next tick, and the heading [rad] of the line between the feet (3, 2) to hold it by: while
+    ``standing`` is 0, the present one."""
+    line = feet[:, 0] - feet[:, 1]
+    present = ca.atan2(line[1], line[0])
+    kept = ca.if_else(standing, heading, present)
+    error = ca.remainder(kept - present, 2.0 * math.pi)
+    return compose(exponential(ca.vertcat(0.0, 0.0, constants[2] * error)), quaternion), kept
+
+
+class Hanging:
+    """What can be learnt while the robot hangs still: the gyro's ``zero`` [rad/s] and the orientation, a
+    ``quaternion`` without yaw."""
+
+    def __init__(self, rate: float) -> None:
+        self.zero, self.quaternion = np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0])
+        self._still_after = round(_STILL_AFTER * rate)  # samples
+        self._sums = np.zeros(6)  # gyro and specific force
+        self._seen = 0  # samples
         self._count = 0  # of these, those that count
-        self._line: float | None = None  # heading of the line between the feet
-        self._dq = np.zeros(model.nv - 6)
 
-    def hang(self, gyro: np.ndarray, force: np.ndarray) -> None:
-        """Take a sample while the robot hangs still: zero of the gyro, and where down is."""
+    def take(self, gyro: np.ndarray, force: np.ndarray) -> None:
+        """Take a sample of angular velocity [rad/s] and specific force [m/s²]."""
         self._seen += 1
         if self._seen <= self._still_after:  # what came so far was still swinging
             self._sums[:] = 0.0
@@ -48,51 +67,14 @@ class BaseEstimator:
         self._sums[:3] += gyro
         self._sums[3:] += force
         self._count += 1
-        self._bias = self._sums[:3] / self._count
-        up = self._sums[3:] / math.sqrt(self._sums[3:] @ self._sums[3:])
-        pitch, roll = math.asin(-up[0]), math.atan2(up[1], up[2])
-        self.rotation = pin.rpy.rpyToMatrix(roll, pitch, 0.0)
+        self.zero[:] = self._sums[:3] / self._count
+        x, y, z = self._sums[3:].tolist()  # along the world's up, of any length
+        pitch, roll = math.atan2(-x, math.hypot(y, z)) / 2, math.atan2(y, z) / 2
+        sp, cp, sr, cr = math.sin(pitch), math.cos(pitch), math.sin(roll), math.cos(roll)
+        self.quaternion[:] = cp * sr, sp * cr, -sp * sr, cp * cr
 
-    def turn(self, gyro: np.ndarray, force: np.ndarray) -> None:
-        """Integrate one sample of the IMU over one tick."""
-        rate = gyro - self._bias
-        up_body = self.rotation[2]  # world's up in the base's frame
-        size = math.sqrt(force @ force)
-        if size > 1.0:
-            fx, fy, fz = (force / size).tolist()
-            ux, uy, uz = up_body.tolist()
-            correction = np.array([fy * uz - fz * uy, fz * ux - fx * uz, fx * uy - fy * ux])  # force × up
-            step = rate * self._dt + self._pull * correction
-        else:
-            step = rate * self._dt
-        self.rotation = self.rotation @ pin.exp3(step)
-        self.v[3:6] = rate
+    def snapshot(self) -> Any:
+        return self.zero.copy(), self.quaternion.copy(), self._sums.copy(), self._seen, self._count
 
-    def place(self, position: np.ndarray, velocity: np.ndarray) -> None:
-        """Base state from joint positions [rad] and velocities [rad/s]; fills ``q`` and ``v`` for the model."""
-        self._dq += self._blend * (velocity - self._dq)
-        q, v = self.q, self.v
-        q[7:], v[6:] = position, self._dq
-        q[:3] = 0.0
-        v[:3] = 0.0
-        q[3:7] = pin.Quaternion(self.rotation).coeffs()
-        feet, motion = self._model.feet_motion(q, v)
-        heading = math.atan2(feet[0, 1] - feet[1, 1], feet[0, 0] - feet[1, 0])
-        if self._line is None:
-            self._line = heading
-        error = math.remainder(self._line - heading, 2.0 * math.pi)
-        self.rotation = pin.exp3(np.array([0.0, 0.0, self._yaw_pull * error])) @ self.rotation
-        q[:3] = -0.5 * (feet[0] + feet[1])
-        v[:3] = -self.rotation.T @ (0.5 * (motion[0] + motion[1]))
-
-    def snapshot(self) -> dict[str, Any]:
-        return {
-            "rotation": self.rotation.copy(), "q": self.q.copy(), "v": self.v.copy(), "sums": self._sums.copy(),
-            "count": (self._seen, self._count), "line": self._line, "dq": self._dq.copy(), "bias": self._bias.copy(),
-        }  # fmt: skip
-
-    def restore(self, state: dict[str, Any]) -> None:
-        self.rotation = state["rotation"].copy()
-        self.q[:], self.v[:], self._sums[:], self._dq[:] = state["q"], state["v"], state["sums"], state["dq"]
-        (self._seen, self._count), self._line = state["count"], state["line"]
-        self._bias = state["bias"].copy()
+    def restore(self, state: Any) -> None:
+        self.zero[:], self.quaternion[:], self._sums[:], self._seen, self._count = state

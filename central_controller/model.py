@@ -2,30 +2,65 @@
 
 Generalised coordinates q = [x y z, quaternion x y z w, joints]; velocity = [base linear, base angular (both in the
 base's frame), joint rates]: pinocchio's own convention, kept inside this package.
+
+One call of pinocchio fills its own memory. What follows from that is a CasADi expression of it, so that the
+controller's tick can be one compiled function that reads pinocchio's memory where it lies.
 """
 
 from __future__ import annotations
 
-import math
+from typing import NamedTuple
 
+import casadi as ca
 import numpy as np
 import pinocchio as pin
 
+from central_controller.binding import Bound
+from central_controller.rotations import rotation_matrix
 from robots.description import Robot
 
 TASKS = ("com_x", "com_z", "pitch", "roll")  # double-support task set (Kim 2018 §5.1.2)
+BASE = 6  # degrees of freedom of the floating base
+
+
+class Terms(NamedTuple):
+    """What whole-body control needs (n = 6 + joints), as CasADi expressions."""
+
+    A: ca.SX  # mass matrix (n, n)
+    h: ca.SX  # Coriolis, centrifugal and gravity forces (n,)
+    Js: ca.SX  # feet Jacobian (6, n), right foot first, world-aligned
+    Jsdot_dq: ca.SX  # its bias acceleration (6,)
+    Jt: ca.SX  # Jacobian (4, n) of TASKS
+    Jtdot_dq: ca.SX  # its bias acceleration (4,)
+    com: ca.SX  # (3,)
+    com_velocity: ca.SX  # (3,)
+    feet: ca.SX  # positions (3, 2)
+    feet_velocity: ca.SX  # (3, 2)
+    rpy: ca.SX  # roll, pitch, yaw [rad] of the base (Z-Y-X angles)
+    task: ca.SX  # values (4,) of TASKS
+    task_velocity: ca.SX  # (4,)
 
 
 class RobotModel:
-    """Dynamics and kinematics of a biped with point feet, updated in place.
+    """Dynamics and kinematics of a biped with point feet.
 
-    Attributes after ``update`` (n = 6 + joints):
-        A: mass matrix (n, n). h: Coriolis, centrifugal and gravity forces (n,).
-        Js: feet Jacobian (6, n), right foot first, world-aligned. Jsdot_dq: its bias acceleration (6,).
-        Jt: Jacobian (4, n) of TASKS. Jtdot_dq: its bias acceleration (4,).
-        com, com_velocity: (3,). feet: positions (2, 3). rpy: roll, pitch, yaw [rad] of the base (Z-Y-X angles).
-        task, task_velocity: values and rates (4,) of TASKS.
+    ``compute`` calls pinocchio, which leaves its results in ``sources``; ``terms`` builds from symbols of the same
+    names and shapes (``symbols``) what whole-body control needs. ``update`` does both, for use outside the tick: it
+    sets an attribute of the name of each of Terms, ``feet`` as (2, 3).
     """
+
+    A: np.ndarray
+    h: np.ndarray
+    Js: np.ndarray
+    Jsdot_dq: np.ndarray
+    Jt: np.ndarray
+    Jtdot_dq: np.ndarray
+    com: np.ndarray
+    com_velocity: np.ndarray
+    feet: np.ndarray
+    rpy: np.ndarray
+    task: np.ndarray
+    task_velocity: np.ndarray
 
     def __init__(self, robot: Robot) -> None:
         self.model = pin.Model()
@@ -41,78 +76,121 @@ class RobotModel:
         for name, link in links:
             inertia = pin.Inertia(link.mass, np.array(link.com), np.diag(link.inertia))
             self.model.appendBodyToJoint(ids[name], inertia, pin.SE3.Identity())
-        self._feet = [
-            self.model.addFrame(
-                pin.Frame(foot.name, ids[foot.joint], pin.SE3(np.eye(3), np.array(foot.position)), pin.FrameType.OP_FRAME)
-            )
-            for foot in robot.feet
-        ]
+        self._feet = [(foot.name, ids[foot.joint], foot.position) for foot in robot.feet]
+        self._gravity = ca.DM([0.0, 0.0, -robot.gravity])
         self.model.gravity.linear = np.array([0.0, 0.0, -robot.gravity])
         self.data = self.model.createData()
         self.nq, self.nv = self.model.nq, self.model.nv
-        n = self.nv
-        self._zero = np.zeros(n)
-        self._lower = np.tril_indices(n, -1)
-        # column-major, as the generated code reads them
-        self.A = np.zeros((n, n), order="F")
-        self.h = np.zeros(n)
-        self.Js = np.zeros((6, n), order="F")
-        self.Jsdot_dq = np.zeros(6)
-        self.Jt = np.zeros((4, n), order="F")
-        self.Jtdot_dq = np.zeros(4)
-        self.com, self.com_velocity = np.zeros(3), np.zeros(3)
-        self.feet = np.zeros((2, 3))
-        self.rpy = np.zeros(3)
-        self.task, self.task_velocity = np.zeros(4), np.zeros(4)
+        self.sources = self._sources()
+        self._offline: Bound | None = None
 
-    def feet_motion(self, q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Positions (2, 3) and velocities (2, 3) of the feet in the world frame, kinematics only."""
-        model, data = self.model, self.data
-        pin.forwardKinematics(model, data, q, v)
-        positions, velocities = np.empty((2, 3)), np.empty((2, 3))
-        for i, frame in enumerate(self._feet):
-            positions[i] = pin.updateFramePlacement(model, data, frame).translation
-            velocities[i] = pin.getFrameVelocity(model, data, frame, pin.LOCAL_WORLD_ALIGNED).linear
-        return positions, velocities
+    def compute(self, q: np.ndarray, v: np.ndarray) -> None:
+        """Fill ``sources`` at coordinates ``q`` (nq,) and velocity ``v`` (nv,)."""
+        pin.computeAllTerms(self.model, self.data, q, v)
+
+    def _sources(self) -> dict[str, np.ndarray]:
+        """Views of pinocchio's memory, which stays where it is as long as its data live."""
+        data = self.data
+        views = {
+            "M": data.M,  # its upper triangle
+            "nle": data.nle,
+            "J": data.J,  # joint Jacobians at the world's origin: linear rows, then angular
+            "Jcom": data.Jcom,
+            "com_0": data.com[0],
+            "vcom_0": data.vcom[0],
+        }
+        for name, joint, _ in self._feet:
+            views |= {
+                f"{name}_rotation": data.oMi[joint].rotation,
+                f"{name}_translation": data.oMi[joint].translation,
+                f"{name}_v": data.v[joint].np,  # in the joint's frame: linear, then angular
+                f"{name}_a_gf": data.a_gf[joint].np,  # at zero joint accelerations, less gravity; likewise
+            }
+        assert not any(view.flags.owndata for view in views.values()), "pinocchio returned a copy"
+        return views
+
+    def symbols(self) -> dict[str, ca.SX]:
+        """A symbol for each of ``sources``."""
+        return {name: ca.SX.sym(name, *view.shape) for name, view in self.sources.items()}
+
+    def terms(self, sources: dict[str, ca.SX], quaternion: ca.SX, rate: ca.SX) -> Terms:
+        """What whole-body control needs, from pinocchio's results, the base's orientation and its angular velocity
+        in its own frame."""
+        A, h = ca.triu2symm(ca.triu(sources["M"])), sources["nle"]
+        rotation = rotation_matrix(quaternion)
+        feet, velocities, jacobians, biases = zip(
+            *(self._foot(sources, name, joint, ca.DM(position)) for name, joint, position in self._feet), strict=True
+        )
+        # h's first rows are what it takes to accelerate the whole by its bias, against gravity
+        com, com_velocity, Jcom = sources["com_0"], sources["vcom_0"], sources["Jcom"]
+        com_bias = rotation @ h[:3] / A[0, 0] + self._gravity
+        rpy, rates, rows, bias = _orientation(rotation, rate)
+        pad = ca.SX(1, self.nv - BASE)
+        return Terms(
+            A=A,
+            h=h,
+            Js=ca.vertcat(*jacobians),
+            Jsdot_dq=ca.vertcat(*biases),
+            Jt=ca.vertcat(Jcom[0, :], Jcom[2, :], *(ca.horzcat(ca.SX(1, 3), row, pad) for row in rows)),
+            Jtdot_dq=ca.vertcat(com_bias[0], com_bias[2], *bias),
+            com=com,
+            com_velocity=com_velocity,
+            feet=ca.horzcat(*feet),
+            feet_velocity=ca.horzcat(*velocities),
+            rpy=rpy,
+            task=ca.vertcat(com[0], com[2], rpy[1], rpy[0]),
+            task_velocity=ca.vertcat(com_velocity[0], com_velocity[2], *rates),
+        )
+
+    def _foot(
+        self, sources: dict[str, ca.SX], name: str, joint: int, lever: ca.DM
+    ) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
+        """Position, velocity, Jacobian (3, n) and bias acceleration of a foot, in the world's axes."""
+        rotation, v, a = (sources[f"{name}_{what}"] for what in ("rotation", "v", "a_gf"))
+        position = sources[f"{name}_translation"] + rotation @ lever
+        velocity = v[:3] + ca.cross(v[3:], lever)
+        # classical acceleration; pinocchio's a_gf has gravity taken off
+        bias = a[:3] + ca.cross(a[3:], lever) + ca.cross(v[3:], velocity)
+        J = sources["J"]
+        columns = [ca.SX(3, 1)] * self.nv
+        for support in list(self.model.supports[joint])[1:]:
+            first = self.model.joints[support].idx_v
+            for i in range(first, first + self.model.joints[support].nv):
+                columns[i] = J[:3, i] + ca.cross(J[3:, i], position)
+        return position, rotation @ velocity, ca.horzcat(*columns), rotation @ bias + self._gravity
 
     def update(self, q: np.ndarray, v: np.ndarray) -> None:
         """Compute all attributes at coordinates ``q`` (nq,) and velocity ``v`` (nv,)."""
-        model, data = self.model, self.data
-        self.A[:] = pin.crba(model, data, q)
-        self.A[self._lower] = self.A.T[self._lower]
-        self.h[:] = pin.nonLinearEffects(model, data, q, v)
-        # nonLinearEffects overwrites accelerations with gravity in them: bias accelerations need them without
-        pin.forwardKinematics(model, data, q, v, self._zero)
-        pin.computeJointJacobians(model, data)
-        for i, frame in enumerate(self._feet):
-            self.feet[i] = pin.updateFramePlacement(model, data, frame).translation
-            self.Js[3 * i : 3 * i + 3] = pin.getFrameJacobian(model, data, frame, pin.LOCAL_WORLD_ALIGNED)[:3]
-            self.Jsdot_dq[3 * i : 3 * i + 3] = pin.getFrameClassicalAcceleration(
-                model, data, frame, pin.LOCAL_WORLD_ALIGNED
-            ).linear
-        pin.centerOfMass(model, data, pin.ACCELERATION, False)
-        jacobian = pin.jacobianCenterOfMass(model, data, False)
-        self.com[:], self.com_velocity[:] = data.com[0], data.vcom[0]
-        bias = data.acom[0]
-        self.Jt[0], self.Jt[1] = jacobian[0], jacobian[2]
-        self.Jtdot_dq[0], self.Jtdot_dq[1] = bias[0], bias[2]
-        self._orientation(data.oMi[1].rotation, v[3:6])
-        self.task[:] = self.com[0], self.com[2], self.rpy[1], self.rpy[0]
+        if self._offline is None:
+            self._offline = self._bind_terms()
+        self._q[:], self._v[:] = q, v
+        self.compute(self._q, self._v)
+        self._offline()
 
-    def _orientation(self, rotation: np.ndarray, rate: np.ndarray) -> None:
-        """Rows of pitch and roll: rates of the Z-Y-X angles from the angular velocity in the base's frame."""
-        roll = math.atan2(rotation[2, 1], rotation[2, 2])
-        pitch = math.asin(max(-1.0, min(1.0, -rotation[2, 0])))
-        self.rpy[:] = roll, pitch, math.atan2(rotation[1, 0], rotation[0, 0])
-        s, c, tangent = math.sin(roll), math.cos(roll), math.tan(pitch)
-        p, q, r = float(rate[0]), float(rate[1]), float(rate[2])
-        pitch_row, roll_row = self.Jt[2], self.Jt[3]
-        pitch_row[4], pitch_row[5] = c, -s
-        roll_row[3], roll_row[4], roll_row[5] = 1.0, tangent * s, tangent * c
-        turn = q * s + r * c  # yaw rate times cos(pitch)
-        pitch_rate = q * c - r * s
-        roll_rate = p + tangent * turn
-        self.Jtdot_dq[2] = -roll_rate * turn
-        self.Jtdot_dq[3] = pitch_rate * turn / math.cos(pitch) ** 2 + tangent * roll_rate * pitch_rate
-        velocity = self.com_velocity
-        self.task_velocity[:] = velocity[0], velocity[2], pitch_rate, roll_rate
+    def _bind_terms(self) -> Bound:
+        symbols = {"q": ca.SX.sym("q", self.nq), "v": ca.SX.sym("v", self.nv), **self.symbols()}
+        terms = self.terms(symbols, symbols["q"][3:7], symbols["v"][3:6])._asdict()
+        function = ca.Function(
+            "terms", list(symbols.values()), [ca.densify(t) for t in terms.values()], list(symbols), list(terms)
+        )
+        self._q, self._v = np.zeros(self.nq), np.zeros(self.nv)
+        out = {name: np.zeros(term.shape, order="F") for name, term in terms.items()}
+        for name, array in out.items():
+            setattr(self, name, array.ravel(order="K") if array.shape[1] == 1 else array)
+        self.feet = out["feet"].T
+        return Bound(function, {"q": self._q, "v": self._v, **self.sources}, out)
+
+
+def _orientation(rotation: ca.SX, rate: ca.SX) -> tuple[ca.SX, tuple, tuple, tuple]:
+    """Z-Y-X angles; of pitch and roll: rates, rows of the Jacobian, biases, from the angular velocity ``rate`` in the
+    base's frame."""
+    roll = ca.atan2(rotation[2, 1], rotation[2, 2])
+    pitch = ca.asin(ca.fmax(-1.0, ca.fmin(1.0, -rotation[2, 0])))
+    yaw = ca.atan2(rotation[1, 0], rotation[0, 0])
+    s, c, tangent = ca.sin(roll), ca.cos(roll), ca.tan(pitch)
+    p, q, r = rate[0], rate[1], rate[2]
+    turn = q * s + r * c  # yaw rate times cos(pitch)
+    pitch_rate, roll_rate = q * c - r * s, p + tangent * turn
+    rows = ca.horzcat(0.0, c, -s), ca.horzcat(1.0, tangent * s, tangent * c)
+    biases = -roll_rate * turn, pitch_rate * turn / ca.cos(pitch) ** 2 + tangent * roll_rate * pitch_rate
+    return ca.vertcat(roll, pitch, yaw), (pitch_rate, roll_rate), rows, biases

@@ -1,9 +1,8 @@
-"""Feedback of the task coordinates: PID to accelerations."""
+"""Feedback of the task coordinates: PID to accelerations, as a CasADi expression."""
 
 from __future__ import annotations
 
-from typing import Any
-
+import casadi as ca
 import numpy as np
 
 from central_controller.config import TaskSetConfig
@@ -11,27 +10,27 @@ from central_controller.config import TaskSetConfig
 _INTEGRAL_LIMIT = 3.0  # m/s² or rad/s² that the integral may command
 
 
-class TaskFeedback:
-    """u = a_ref + kd (v_ref − v) + kp (x_ref − x) + ki ∫(x_ref − x) dt for [CoM_x, CoM_z, pitch, roll]."""
+def task_gains(config: TaskSetConfig, dt: float) -> np.ndarray:
+    """Gains (3, 4): kp, kd and ki times the tick's length, of [CoM_x, CoM_z, pitch, roll]."""
+    gains = (config.com_x, config.com_z, config.pitch, config.roll)
+    return np.array([(g.kp, g.kd, g.ki * dt) for g in gains]).T.copy(order="F")
 
-    def __init__(self, config: TaskSetConfig, dt: float) -> None:
-        gains = (config.com_x, config.com_z, config.pitch, config.roll)
-        self._kp = np.array([g.kp for g in gains])
-        self._kd = np.array([g.kd for g in gains])
-        self._ki_dt = np.array([g.ki for g in gains]) * dt
-        self._integral = np.zeros(4)
 
-    def acceleration(
-        self, reference: np.ndarray, value: np.ndarray, velocity: np.ndarray, integrate: bool
-    ) -> np.ndarray:
-        """Commanded accelerations (4,). ``reference``: position, velocity and acceleration (3, 4)."""
-        error = reference[0] - value
-        if integrate:
-            self._integral = np.clip(self._integral + self._ki_dt * error, -_INTEGRAL_LIMIT, _INTEGRAL_LIMIT)
-        return reference[2] + self._kd * (reference[1] - velocity) + self._kp * error + self._integral
+def feedback(
+    gains: ca.SX, reference: ca.SX, value: ca.SX, velocity: ca.SX, integral: ca.SX, integrate: ca.SX
+) -> tuple[ca.SX, ca.SX]:
+    """u = a_ref + kd (v_ref − v) + kp (x_ref − x) + ki ∫(x_ref − x) dt of the task coordinates, and the new integral.
 
-    def snapshot(self) -> Any:
-        return self._integral.copy()
-
-    def restore(self, state: Any) -> None:
-        self._integral = state.copy()
+    Args:
+        gains: as task_gains gives them.
+        reference: rows position, velocity, acceleration (3, 4).
+        value, velocity: (4,).
+        integral: ki ∫(x_ref − x) dt so far (4,).
+        integrate: 1, or 0 to leave the integral.
+    """
+    kp, kd, ki_dt = (gains[i, :].T for i in range(3))
+    position_ref, velocity_ref, acceleration_ref = (reference[i, :].T for i in range(3))
+    error = position_ref - value
+    grown = ca.fmax(-_INTEGRAL_LIMIT, ca.fmin(_INTEGRAL_LIMIT, integral + ki_dt * error))
+    integral = ca.if_else(integrate, grown, integral)
+    return acceleration_ref + kd * (velocity_ref - velocity) + kp * error + integral, integral

@@ -16,6 +16,7 @@ from bus.messages import Controlword, GainSet, Mode, State, Statusword
 from central_controller.config import ControllerConfig, InternalForceConfig, PathConfig
 from central_controller.controller import IMU_SOURCE, Controller, Phase, telemetry_fields
 from central_controller.model import RobotModel
+from central_controller.wbosc import whole_body_control
 from hil.compiled import compile_function
 from robots import description, imu
 
@@ -37,8 +38,8 @@ def stance(model: RobotModel, roll: float = 0.0, pitch: float = 0.0) -> np.ndarr
     turn = pin.Quaternion(pin.rpy.rpyToMatrix(roll, pitch, 0.0)).coeffs()
 
     def error(joints: np.ndarray) -> np.ndarray:
-        feet, _ = model.feet_motion(np.concatenate([base, turn, joints]), np.zeros(12))
-        return (feet - FEET).ravel()
+        model.update(np.concatenate([base, turn, joints]), np.zeros(12))
+        return (model.feet - FEET).ravel()
 
     solution = least_squares(error, [0.1, -0.9, 1.2, -0.1, -0.3, 1.2], xtol=1e-15, ftol=1e-15, gtol=1e-15)
     assert np.abs(solution.fun).max() < 1e-9
@@ -66,6 +67,9 @@ class Rig:
 
     def field(self, name: str) -> float:
         return float(self.controller.telemetry[FIELDS.index(name)])
+
+    def fields(self, *names: str) -> list[float]:
+        return [self.field(name) for name in names]
 
     def report(self) -> None:
         self.counter = (self.counter + 1) & 0xFFFF
@@ -198,8 +202,7 @@ def test_a_fault_is_never_reset_and_a_lost_drive_is_not_brought_back(upright) ->
 def test_torque_that_is_not_finite_becomes_damping_of_all_drives(upright) -> None:
     rig = Rig(config(), upright)
     rig.run(0.7)
-    rig.controller._u[:] = np.nan
-    rig.controller._feedback._kp[:] = np.nan
+    rig.controller._gains[0] = np.nan
     rig.step()
     assert all(p.mode == Mode.DAMPING and p.torque == 0.0 for p in setpoints(rig.sent))
 
@@ -213,6 +216,73 @@ def test_the_path_starts_from_the_captured_centre_of_mass(upright) -> None:
     rig.run(0.6)
     moved = np.hypot(rig.field("com_reference.x") - start[0], rig.field("com_reference.z") - start[1])
     assert 1e-3 < moved < 0.03
+
+
+def test_a_path_that_was_to_start_before_the_robot_stands_does_not_jump(upright) -> None:
+    path = PathConfig(kind="ellipse", semi_x="3cm", semi_z="2cm", period="2s", start="0.1s")
+    rig = Rig(config(path=path), upright)
+    rig.run(0.45)
+    start = np.array(rig.fields("com_reference.x", "com_reference.z"))
+    last, moved = start, 0.0
+    for _ in range(900):
+        rig.step()
+        reference = np.array(rig.fields("com_reference.x", "com_reference.z"))
+        if rig.field("phase") == Phase.RAMP:
+            assert np.array_equal(reference, start)
+        assert np.abs(reference - last).max() < 2.0 * np.pi / 2.0 * 0.03 * TICK_NS * 1e-9  # its speed on the ellipse
+        last, moved = reference, max(moved, np.abs(reference - start).max())
+    assert moved > 1e-3
+
+
+def test_the_tick_is_the_control_law_at_the_estimated_state(upright) -> None:
+    """The torque is that of (2.9)-(2.18) at q and v with the base's own position and velocity."""
+    rig = Rig(config(internal_force=InternalForceConfig(reference="100N")), upright)
+    rig.run(0.65)
+    rig.v[:3] += [0.3, -0.2, 0.4]
+    rig.v[6:] += np.random.default_rng(0).uniform(-1, 1, 6)
+    rig.run(0.02)
+    rig.report()
+    controller, model = rig.controller, RobotModel(ROBOT)
+    integral = controller._memory[10:14].copy()
+    controller.tick(rig.now + 270_000)
+    q, v = controller._q.copy(), controller._v.copy()
+    model.update(q, v)
+    q[:3] = -model.feet.mean(axis=0)
+    v[:3] = -np.linalg.lstsq(np.vstack([model.Js[:3, :3], model.Js[3:, :3]]), model.Js @ v, rcond=None)[0]
+    assert np.abs(v[:3]).max() > 0.1
+    model.update(q, v)
+    assert rig.fields("com.x", "com.y", "com.z") == pytest.approx(model.com, abs=1e-12)
+    velocity = rig.fields("com_velocity.x", "com_velocity.y", "com_velocity.z")
+    assert velocity == pytest.approx(model.com_velocity, abs=1e-12)
+    kp, kd, ki_dt = controller._gains
+    error = np.array([*controller._start, 0.0, 0.0]) - model.task
+    u = kp * error - kd * model.task_velocity + integral + ki_dt * error
+    line = model.feet[0] - model.feet[1]
+    out = whole_body_control(2, 4)(
+        model.A, model.h, model.Js, model.Jsdot_dq, model.Jt, model.Jtdot_dq, u, line / np.linalg.norm(line),
+        100.0, 3.0, rig.fields(*(f"torque_sensed.{j}" for j in ROBOT.joint_names)),
+    )  # fmt: skip
+    torque = np.array(rig.fields(*(f"torque_command.{j}" for j in ROBOT.joint_names)))
+    assert torque == pytest.approx(np.array(out[0]).ravel(), rel=1e-8, abs=1e-8)
+    assert rig.field("internal_force") == pytest.approx(float(out[2]), rel=1e-8)
+
+
+def test_compiled_and_interpreted_controllers_are_the_same_to_the_bit(upright) -> None:
+    path = PathConfig(kind="ellipse", semi_x="3cm", semi_z="2cm", period="2s", start="0.7s")
+    settings = config(internal_force=InternalForceConfig(reference="100N"), path=path)
+    rig, twin = Rig(settings, upright), Controller(ROBOT, settings)
+    receive = rig.controller.receive
+
+    def both(*measurement: Any) -> None:
+        receive(*measurement)
+        twin.receive(*measurement)
+
+    rig.controller.receive = both
+    for _ in range(1500):
+        rig.step()
+        assert twin.tick(rig.now - TICK_NS + 270_000) == rig.sent
+        assert twin.telemetry.tobytes() == rig.controller.telemetry.tobytes()
+    assert rig.field("phase") == Phase.ON
 
 
 @pytest.mark.parametrize("seconds", [0.0, 0.2, 0.4027, 0.5, 0.9])
@@ -279,11 +349,12 @@ def test_the_estimate_is_that_of_the_robot() -> None:
     q = stance(RobotModel(ROBOT), roll=0.02, pitch=0.03)
     rig = Rig(config(), q)
     rig.run(1.0)
-    truth, estimate = rig.model, rig.controller.model
+    truth = rig.model
     truth.update(rig.q, rig.v)
-    assert estimate.rpy == pytest.approx(truth.rpy, abs=2e-3)
-    assert estimate.com == pytest.approx(truth.com, abs=2e-3)  # the feet's midpoint is the origin of both
-    assert estimate.com_velocity == pytest.approx(truth.com_velocity, abs=0.02)
+    assert rig.fields("roll", "pitch", "yaw") == pytest.approx(truth.rpy, abs=2e-3)
+    com, com_velocity = (rig.fields(*(f"{what}.{axis}" for axis in "xyz")) for what in ("com", "com_velocity"))
+    assert com == pytest.approx(truth.com, abs=2e-3)  # the feet's midpoint is the origin of both
+    assert com_velocity == pytest.approx(truth.com_velocity, abs=0.02)
 
 
 def test_a_tick_is_short(upright) -> None:
