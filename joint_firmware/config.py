@@ -2,7 +2,16 @@
 
 from __future__ import annotations
 
-from robots.quantities import Config, Gain, Hertz, NewtonMetres, Seconds, TorquePerRadian, TorquePerRate, TorqueRate
+from robots.quantities import (
+    Config,
+    Gain,
+    Hertz,
+    NewtonMetres,
+    Seconds,
+    TorquePerRadian,
+    TorquePerRate,
+    TorqueRate,
+)
 
 
 class TorqueGains(Config):
@@ -14,7 +23,7 @@ class TorqueGains(Config):
 
 
 class FirmwareConfig(Config):
-    """One set for all drives of a robot; what differs by joint (limits, scales) is in the robot's description."""
+    """One set for all drives of a robot; what differs by joint (limits, scales) is in its description."""
 
     rate: Hertz = 3000.0  # ISR rate
     report_rate: Hertz = 1500.0  # drive states per second

@@ -28,9 +28,10 @@ _S = DriveState
 
 
 def transition(state: DriveState, controlword: int, previous: int) -> DriveState:
-    """State after ``controlword`` in ``state``; ``previous`` is the controlword before (a fault reset is an edge).
+    """State after ``controlword`` in ``state``; ``previous`` is the controlword before it.
 
     Bits: 0 switch on, 1 enable voltage, 2 quick stop (active low), 3 enable operation, 7 fault reset.
+    In FAULT the rising edge of bit 7 counts; elsewhere the bit does not matter, so that it masks no stop.
     """
     if state in (_S.NOT_READY, _S.FAULT_REACTION_ACTIVE):
         return state  # left by the drive alone
@@ -40,7 +41,8 @@ def transition(state: DriveState, controlword: int, previous: int) -> DriveState
     if not controlword & 0b0010:  # disable voltage
         return _S.SWITCH_ON_DISABLED
     if not controlword & 0b0100:  # quick stop
-        return _S.QUICK_STOP_ACTIVE if state in (_S.OPERATION_ENABLED, _S.QUICK_STOP_ACTIVE) else _S.SWITCH_ON_DISABLED
+        stops = state in (_S.OPERATION_ENABLED, _S.QUICK_STOP_ACTIVE)
+        return _S.QUICK_STOP_ACTIVE if stops else _S.SWITCH_ON_DISABLED
     if state is _S.QUICK_STOP_ACTIVE:
         return state  # only through disable voltage, or into fault
     command = controlword & 0b1111

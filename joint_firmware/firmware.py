@@ -19,13 +19,18 @@ from robots import pins
 from robots.description import Robot
 
 _NMT_BOOT, _NMT_OPERATIONAL = 0x00, 0x05
-_STATE = struct.Struct("<HHiiihhHBB")  # the layout of messages.encode_state, from integers that the law computed
-_SLOT = struct.Struct("<HbBiiiHH")
+_STATE = struct.Struct("<" + messages.STATE_LAYOUT)  # filled with the integers that the law computed
+_SLOT = struct.Struct("<" + messages.SLOT_LAYOUT)
 _U16 = 0xFFFF
 
 
 def _identity(function: ca.Function) -> ca.Function:
     return function
+
+
+def _view(array: np.ndarray) -> memoryview[float]:
+    """``array``'s memory, whose items read and write several times faster than the array's."""
+    return memoryview(array)  # type: ignore[arg-type, return-value]  # the stubs know bytes only
 
 
 class JointFirmware:
@@ -49,6 +54,9 @@ class JointFirmware:
         self._heartbeat_id = messages.HEARTBEAT + joint.node_id
         self._emergency_id = messages.EMERGENCY + joint.node_id
         rate = config.rate
+        if rate % config.report_rate:
+            slow = config.report_rate
+            raise ValueError(f"rate ({rate:g} Hz) must be a multiple of report_rate ({slow:g} Hz)")
         self._ticks_per_report = round(rate / config.report_rate)
         self._boot_ticks = round(config.boot_time * rate)
         self._watchdog_ticks = max(round(config.watchdog * rate), 1)
@@ -87,17 +95,18 @@ class JointFirmware:
         self._buffer, self._evaluate = self._function.buffer()
         arguments = (self._counts, self._x, self._u, self._p)
         for index, array in enumerate(arguments):
-            self._buffer.set_arg(index, memoryview(array))
+            # a memoryview brings its size along; the stubs ask for it
+            self._buffer.set_arg(index, _view(array))  # type: ignore[call-arg, arg-type]
         for index, array in enumerate((self._x_next, self._y)):
-            self._buffer.set_res(index, memoryview(array))
-        self._counts_view = memoryview(self._counts)
-        self._u_view = memoryview(self._u)
-        self._y_view = memoryview(self._y)
+            self._buffer.set_res(index, _view(array))  # type: ignore[call-arg, arg-type]
+        self._counts_view = _view(self._counts)
+        self._u_view = _view(self._u)
+        self._y_view = _view(self._y)
 
     def attach(self, pins_in: np.ndarray, pins_out: np.ndarray) -> None:
         """Connect the pins: int32, ``robots.pins.N_INPUTS`` and ``N_OUTPUTS``."""
-        self._in = memoryview(pins_in)
-        self._out = memoryview(pins_out)
+        self._in = memoryview(pins_in)  # type: ignore[arg-type]  # numpy's stubs have no buffer before 3.12
+        self._out = memoryview(pins_out)  # type: ignore[arg-type]
 
     @property
     def state(self) -> DriveState:
@@ -108,22 +117,23 @@ class JointFirmware:
         """Frames that were ignored because their length did not fit."""
         return self._malformed
 
-    # --- the ISR ------------------------------------------------------------------------------------------------
+    # --- the ISR --------------------------------------------------------------------------------------------
 
     def tick(self, now_ns: int, frames: Sequence[Frame]) -> list[Frame]:
         """One interrupt: read pins, act on ``frames``, write pins. Returns the frames to send."""
         tick = self._tick
         sent: list[Frame] = []
         for frame in frames:
-            if frame.id == messages.COMMAND:
-                self._accept(frame.data)
+            if frame.id == messages.COMMAND and not frame.extended:
+                self._accept(frame.data, sent)
         inputs, counts, y = self._in, self._counts_view, self._y_view
         counts[0] = inputs[pins.MOTOR_ENCODER]
         counts[1] = inputs[pins.SPRING_ENCODER]
         counts[2] = inputs[pins.CURRENT_ADC]
         self._evaluate()
         self._x[:] = self._x_next
-        if self._drive != DriveState.OPERATION_ENABLED or tick - self._command_tick >= self._watchdog_ticks:
+        silent = tick - self._command_tick >= self._watchdog_ticks
+        if silent or self._drive != DriveState.OPERATION_ENABLED:
             self._supervise(tick, sent)
         elif abs(y[law.Y_TORQUE_SI]) > self._torque_fault:
             self._fault(protection.OVER_TORQUE, sent)
@@ -134,23 +144,30 @@ class JointFirmware:
         self._out[pins.ENABLE] = 1 if powered else 0
         if tick % self._ticks_per_report == 0:
             sent.append(Frame(self._state_id, self._report(tick)))
-        elif tick % self._heartbeat_ticks == self._heartbeat_phase:
+        if tick % self._heartbeat_ticks == self._heartbeat_phase:
             booted = self._drive != DriveState.NOT_READY
             sent.append(Frame(self._heartbeat_id, bytes([_NMT_OPERATIONAL if booted else _NMT_BOOT])))
         self._tick = tick + 1
         return sent
 
-    def _accept(self, data: bytes) -> None:
-        """Take over a command unless it is malformed, or older than the one in force (a link may reorder)."""
+    def _accept(self, data: bytes, sent: list[Frame]) -> None:
+        """Take over a command unless it is malformed or not newer than the one in force (a link may reorder).
+
+        After a silence, a drive that is not enabled takes any counter: a restarted controller counts anew.
+        """
         if len(data) != messages.COMMAND_LENGTH:
             self._malformed += 1
             return
         counter = data[0] | data[1] << 8
-        if self._command_counter is not None and not messages.newer(counter, self._command_counter):
-            return
+        known = self._command_counter
+        if known is not None and not messages.newer(counter, known):
+            silent = self._tick - self._command_tick >= self._watchdog_ticks
+            if not silent or self._drive == DriveState.OPERATION_ENABLED:
+                return  # a repeated frame must not feed the watchdog
         self._command_counter = counter
         self._command_tick = self._tick
-        controlword, mode, gain_set, torque, position, velocity, limit, _ = _SLOT.unpack_from(data, self._slot_offset)
+        slot = _SLOT.unpack_from(data, self._slot_offset)
+        controlword, mode, gain_set, torque, position, velocity, limit, _ = slot
         u = self._u_view
         u[law.U_TORQUE] = torque * messages.NEWTON_METRE
         u[law.U_POSITION] = position * messages.RADIAN
@@ -163,12 +180,15 @@ class JointFirmware:
                 self._stop_tick = self._tick
             if self._drive == DriveState.FAULT and entered != DriveState.FAULT:
                 self._error = 0
+                self._send_emergency(protection.NO_ERROR, 0, sent)
+            elif self._error and self._drive == DriveState.QUICK_STOP_ACTIVE and entered != self._drive:
+                entered = DriveState.FAULT  # a stop for cause ends in fault, also when it is cut short
             self._drive = entered
             self._controlword = controlword
         self._set_mode(mode)
 
     def _set_mode(self, mode: int) -> None:
-        """Weights of the law: what runs is decided by the drive's state first, by the commanded mode second."""
+        """Weights of the law: the drive's state decides first what runs, the commanded mode second."""
         u = self._u_view
         enabled = self._drive == DriveState.OPERATION_ENABLED
         u[law.U_TORQUE_MODE] = float(enabled and mode == Mode.TORQUE)
@@ -223,10 +243,11 @@ class JointFirmware:
             min(max(temperature, 0), 255),
         )
 
-    # --- state --------------------------------------------------------------------------------------------------
+    # --- state ----------------------------------------------------------------------------------------------
 
     _PLAIN = (
-        "_tick", "_drive", "_controlword", "_command_counter", "_command_tick", "_stop_tick", "_error", "_malformed",
+        "_tick", "_drive", "_controlword", "_command_counter", "_command_tick", "_stop_tick", "_error",
+        "_malformed",
     )  # fmt: skip
 
     def snapshot(self) -> dict[str, Any]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+NO_ERROR = 0x0000  # what an emergency says when the last error is gone (CiA 301)
 WATCHDOG = 0x8130  # life guard: the controller has been silent
 POSITION_LIMIT = 0x8611  # joint far beyond its limits
 OVER_TORQUE = 0x2310  # continuous over-current class: the spring carries more than the drive may ask for

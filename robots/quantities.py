@@ -44,11 +44,15 @@ def parse_quantity(text: Any, unit: str) -> float:
     if not isinstance(text, str):
         if text == 0:
             return 0.0
+        if isinstance(text, float) and not math.isfinite(text):
+            raise ValueError(f"{text!r} is not a finite number with a unit ({accepted})")
         raise ValueError(f"{text!r} has no unit: write one of {accepted}, for example \"{text}{next(iter(scales))}\"")
     match = _NUMBER.match(text)
     if match is None:
         raise ValueError(f"{text!r} is not a number with a unit ({accepted})")
-    value, suffix = float(match.group(1)), match.group(2)
+    value, suffix = float(match.group(1)), match.group(2).replace("\u03bc", "\u00b5")  # Greek mu: micro
+    if not math.isfinite(value):
+        raise ValueError(f"{text!r} is too large")
     if not suffix:
         if value == 0:
             return 0.0
@@ -63,10 +67,10 @@ def _quantity(unit: str, **bounds: float) -> Any:
         return parse_quantity(value, unit)
 
     extra: Any = {"unit": unit}
-    return Annotated[float, BeforeValidator(read), Field(json_schema_extra=extra, **bounds)]  # type: ignore[arg-type]
+    return Annotated[float, BeforeValidator(read), Field(json_schema_extra=extra, **bounds)]  # type: ignore[call-overload]
 
 
-Seconds = _quantity("s", ge=0)
+Seconds = _quantity("s", ge=0, le=1e6)  # far within what fits into 64 bits of nanoseconds
 Hertz = _quantity("Hz", gt=0)
 BitRate = _quantity("bit/s", gt=0)
 Metres = _quantity("m")
