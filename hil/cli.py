@@ -12,13 +12,16 @@ for _variable in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
 
 import argparse  # noqa: E402
 import json  # noqa: E402
+import math  # noqa: E402
+import re  # noqa: E402
 import sys  # noqa: E402
 import time  # noqa: E402
+import traceback  # noqa: E402
 from collections.abc import Sequence  # noqa: E402
 from pathlib import Path  # noqa: E402
 from typing import Any, NoReturn  # noqa: E402
 
-from hil.errors import EXIT_EMULATION, EXIT_USER, HilError, UserError  # noqa: E402
+from hil.errors import EXIT_EMULATION, EmulationError, HilError, UserError  # noqa: E402
 
 
 class _Parser(argparse.ArgumentParser):
@@ -32,12 +35,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
         options = _parser().parse_args(arguments)
         return options.command(options)
     except HilError as error:
-        print(f"hil: {error}", file=sys.stderr)
+        _complain(error)
         return error.exit_status
-    except BrokenPipeError:
+    except (BrokenPipeError, KeyboardInterrupt):
         return EXIT_EMULATION
-    except KeyboardInterrupt:
+    except OSError as error:  # a full disk, a socket refused: nothing that a traceback would explain better
+        _complain(error)
         return EXIT_EMULATION
+    except Exception:  # a mistake of ours: status 1 would read as "unstable"
+        traceback.print_exc()
+        return EXIT_EMULATION
+
+
+def _complain(error: Exception) -> None:
+    print("hil: " + " ".join(str(error).splitlines()), file=sys.stderr)
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -46,13 +57,25 @@ def _parser() -> argparse.ArgumentParser:
 
     run = commands.add_parser("run", help="run a scenario to its verdict")
     run.add_argument("scenario", metavar="SCENARIO", help="a built-in scenario or the path of a .toml file")
-    run.add_argument("--seed", type=_natural, default=0, metavar="N")
+    run.add_argument("--seed", type=_natural, default=0, metavar="N", help="of all random numbers (0)")
     run.add_argument("--duration", metavar="S", help="simulated time, e.g. 5s")
-    run.add_argument("--backend", choices=("processes", "inline"), default="processes")
-    run.add_argument("--clock", choices=("virtual", "wall"), default="virtual")
-    run.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", dest="settings")
+    run.add_argument(
+        "--backend", choices=("processes", "inline"), default="processes",
+        help="every node a process of its own (default), or all in one",
+    )  # fmt: skip
+    run.add_argument(
+        "--clock", choices=("virtual", "wall"), default="virtual",
+        help="as fast as it goes and reproducible (default), or in real time",
+    )  # fmt: skip
+    run.add_argument(
+        "--set", action="append", default=[], metavar="KEY=VALUE", dest="settings",
+        help="change one value of the scenario, e.g. link.command.delay=3ms; repeatable",
+    )  # fmt: skip
     run.add_argument("--out", type=Path, metavar="DIR", help="directory of the record (default: runs/…)")
-    run.add_argument("--zenoh", metavar="tcp/HOST:PORT", help="join this Zenoh router instead of a private session")
+    run.add_argument(
+        "--zenoh", type=_endpoint, metavar="tcp/HOST:PORT",
+        help="join this Zenoh router instead of a private session",
+    )  # fmt: skip
     run.add_argument("--video", action="store_true", help="also write video.mp4")
     run.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
     run.set_defaults(command=_run)
@@ -76,10 +99,43 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _natural(text: str) -> int:
-    value = int(text)
-    if value < 0:
-        raise argparse.ArgumentTypeError(f"{value} is negative: expected 0, 1, 2 …")
-    return value
+    if not (text.isascii() and text.isdigit() and len(text) <= 20):
+        raise argparse.ArgumentTypeError(f"{text!r}: expected 0, 1, 2 …")
+    return int(text)
+
+
+def _endpoint(text: str) -> str:
+    match = re.fullmatch(r"tcp/(?:\[[0-9a-fA-F:.]+\]|[\w.-]+):(\d{1,5})", text)
+    if match is None or not 0 < int(match.group(1)) < 65536:
+        raise argparse.ArgumentTypeError(f"{text!r}: expected tcp/HOST:PORT, for example tcp/127.0.0.1:7447")
+    return text
+
+
+def _directory(out: Path | None, default: str) -> Path:
+    """The directory of the record, created. Its name is the run's: it becomes part of Zenoh keys."""
+    if out is None:
+        for n in range(1, 100):  # two runs within one second
+            candidate = Path("runs") / (default if n == 1 else f"{default}-{n}")
+            if not candidate.exists():
+                out = candidate
+                break
+    assert out is not None
+    if out.name in ("", ".."):
+        out = out.resolve()
+    name = out.name
+    if not name or set(name) & set("*$?#"):
+        raise UserError(f"--out {out}: the last part names the run and must not contain * $ ? #")
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except FileExistsError:
+        raise UserError(f"--out {out}: is a file; name a directory") from None
+    except OSError as error:
+        raise UserError(f"--out {out}: cannot be created ({error.strerror})") from None
+    if any((out / record).exists() for record in ("run.json", "signals.mcap")):
+        raise UserError(f"--out {out}: holds the record of another run; name a new directory")
+    if not os.access(out, os.W_OK | os.X_OK):
+        raise UserError(f"--out {out}: cannot be written to")
+    return out
 
 
 def _run(options: argparse.Namespace) -> int:
@@ -88,29 +144,63 @@ def _run(options: argparse.Namespace) -> int:
 
     settings = list(options.settings)
     if options.duration is not None:
-        unit = "" if options.duration.strip()[-1:].isalpha() else "s"
-        settings.append(f"duration={options.duration}{unit}")
+        settings.append(f"duration={_with_second(options.duration)}")
     scenario = load(options.scenario, settings)
     if options.zenoh is not None and options.backend == "inline":
         raise UserError("--zenoh has no meaning with --backend inline: nothing goes through Zenoh there")
-    out = options.out or Path("runs") / f"{scenario.name}-seed{options.seed}-{time.strftime('%Y%m%d-%H%M%S')}"
-    if (out / "run.json").exists():
-        raise UserError(f"--out {out}: holds the record of another run; name a new directory")
+    stamp = time.strftime("%Y%m%d-%H%M%S")
+    out = _directory(options.out, f"{scenario.name}-seed{options.seed}-{stamp}")
+    from hil.control import serve_run
+
     request = Request(
         scenario, options.seed, options.backend, options.clock, out, video=options.video, zenoh=options.zenoh
     )
-    from hil.control import serve_run
+    try:
+        if options.json:
+            outcome = run(request, prepare=serve_run)
+            print(json.dumps(outcome.record, allow_nan=False))
+            return outcome.exit_status
+        from hil.progress import Display
 
-    if options.json:
-        outcome = run(request, prepare=serve_run)
-        print(json.dumps(outcome.record, allow_nan=False))
-        return outcome.exit_status
-    from hil.progress import Display
+        with Display(scenario, sys.stderr) as display:
+            outcome = run(request, display.update, prepare=serve_run)
+    except ValueError as error:
+        from plant.stance import StanceError  # not earlier: children start before the physics
 
-    with Display(scenario, sys.stderr) as display:
-        outcome = run(request, display.update, prepare=serve_run)
+        if not isinstance(error, StanceError):
+            raise
+        raise UserError(f"{options.scenario}: stance: {error}") from None
+    except EmulationError as error:  # it could not start: there is no record
+        if options.json:
+            print(json.dumps(_stillborn(request, error)))
+        raise
     _print_outcome(outcome.record)
     return outcome.exit_status
+
+
+def _with_second(text: str) -> str:
+    """``text`` with the unit s when it is a bare number."""
+    try:
+        return f"{text.strip()}s" if math.isfinite(float(text)) else text
+    except ValueError:
+        return text
+
+
+def _stillborn(request: Any, error: HilError) -> dict[str, Any]:
+    """What ``--json`` prints of a run that could not start."""
+    return {
+        "scenario": request.scenario.name,
+        "seed": request.seed,
+        "backend": request.backend,
+        "clock": request.clock,
+        "verdict": "failed",
+        "reason": str(error),
+        "metrics": {},
+        "log_digest": None,
+        "simulated_time": 0.0,
+        "realtime_factor": 0.0,
+        "out": str(request.out),
+    }
 
 
 def _print_outcome(record: dict[str, Any]) -> None:
@@ -131,7 +221,8 @@ def _print_outcome(record: dict[str, Any]) -> None:
         )
     print(f"round trip  p50 {number('round_trip_p50', 1e3, 'ms', 3)}, p99 {number('round_trip_p99', 1e3, 'ms', 3)}")
     load = metrics.get("bus_load") or {}
-    print("bus load    " + ", ".join(f"{bus} {100 * value:.0f} %" for bus, value in load.items()))
+    shares = {bus: "–" if value is None else f"{100 * value:.0f} %" for bus, value in load.items()}
+    print("bus load    " + ", ".join(f"{bus} {share}" for bus, share in shares.items()))
     wall = record["wall_clock"]
     if wall is not None:
         print(f"deadlines   {100 * wall['missed_share']:.2f} % missed, scheduling {wall['scheduling']}")
@@ -163,9 +254,11 @@ def _bench(options: argparse.Namespace) -> int:
     from robots.quantities import parse_quantity
 
     try:
-        duration = parse_quantity(options.duration, "s")
+        duration = parse_quantity(_with_second(options.duration), "s")
     except ValueError as error:
         raise UserError(f"--duration: {error}") from None
+    if not 0.1 <= duration <= 3600:
+        raise UserError(f"--duration {options.duration}: expected 0.1 s to 3600 s")
     return bench(duration, as_json=options.json)
 
 
@@ -181,8 +274,6 @@ def _inject(options: argparse.Namespace) -> int:
     print(control.inject(options.key, options.value, options.run))
     return 0
 
-
-__all__ = ["EXIT_USER", "main"]
 
 if __name__ == "__main__":
     sys.exit(main())

@@ -8,10 +8,12 @@ from typing import Any
 
 from bus.config import Impairment
 from bus.frames import Frame
-from bus.ports import PortServer, find_runs
+from bus.ports import PortError, PortServer, find_runs
 from bus.zenoh_link import keys, session_config
 from hil.errors import EmulationError, HilError, UserError
 from hil.injection import injectable
+from hil.scenario import parse_value
+from hil.schema import nearest
 from robots import description
 
 _ANSWER_TIMEOUT_S = 5.0
@@ -21,8 +23,14 @@ class PortTap:
     """Serves every bus of a run to tools of the same user (``can.Bus(interface="hil", channel="left_leg")``)."""
 
     def __init__(self, run: str, buses: list[str], endpoint: str | None) -> None:
-        self._servers = [PortServer(name, run=run, endpoint=endpoint) for name in buses]
+        self._servers: list[PortServer] = []
         self.frames_in = 0
+        try:
+            for name in buses:
+                self._servers.append(PortServer(name, run=run, endpoint=endpoint))
+        except PortError:
+            self.close()
+            raise
 
     def broadcast(self, bus: int, time_ns: int, sender: int, frame: Frame) -> None:
         server = self._servers[bus]
@@ -45,7 +53,10 @@ def serve_run(assembly: Any) -> None:
     system, session = assembly.system, assembly.session
     buses = [wire.name for wire in system.wires]
     endpoint = assembly.endpoint
-    assembly.tap = system.tap = PortTap(assembly.run_name, buses, endpoint)
+    try:
+        assembly.tap = system.tap = PortTap(assembly.run_name, buses, endpoint)
+    except PortError as error:
+        raise UserError(f"{error}: choose another name with --out") from None
     if session is None:
         return
 
@@ -56,14 +67,16 @@ def serve_run(assembly: Any) -> None:
         result: dict[str, Any] = {}
 
         def request() -> None:
+            if "error" in result:  # told that it will not happen
+                return
             try:
                 order = json.loads(text)
                 key, value = order["key"], order["value"]
                 if key not in injectable(buses):
-                    raise UserError(f"unknown key {key!r}; `hil inject --list` lists them")
+                    raise UserError(unknown_key(key, injectable(buses)))
                 result["value"] = system.inject(key, value)
                 result["time"] = system.now_ns * 1e-9
-            except (ValueError, KeyError, TypeError):
+            except (ValueError, KeyError, TypeError, RecursionError):
                 result["error"] = 'expected {"key": …, "value": …}'
             except HilError as error:
                 result["error"] = str(error)
@@ -81,11 +94,15 @@ def inject(key: str, value: str, run: str | None = None) -> str:
     """Change ``key`` of a run that is going on. Returns one sentence; raises UserError or EmulationError."""
     import zenoh
 
+    known = [name for name, _ in keys_of_all_robots()]
+    if key not in known:
+        raise UserError(unknown_key(key, known))
+    parse_value(key, value)
     runs = find_runs()
     if run is not None:
         runs = {name: hello for name, hello in runs.items() if name == run}
     if not runs:
-        raise UserError("no such run is going on" if run else "no run is going on")
+        raise UserError(f"no run {run!r} is going on" if run else "no run is going on")
     if len(runs) > 1:
         raise UserError(f"several runs are going on, name one with --run: {', '.join(sorted(runs))}")
     name, hello = next(iter(runs.items()))
@@ -107,6 +124,10 @@ def inject(key: str, value: str, run: str | None = None) -> str:
     finally:
         session.close()
     raise EmulationError(f"{name} did not answer")
+
+
+def unknown_key(key: object, known: list[str]) -> str:
+    return f"unknown key {key!r}{nearest(str(key), known)} (`hil inject --list` lists all)"
 
 
 def keys_of_all_robots() -> list[tuple[str, str]]:

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-import difflib
 import tomllib
-import types
 import typing
+from collections.abc import Iterator, Mapping
 from importlib import resources
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
-from pydantic import BaseModel, Field, ValidationError
+from pydantic import Field, ValidationError
 
 from bus.config import BusConfig, LinkConfig
 from central_controller.config import ControllerConfig
+from hil import schema
 from hil.errors import UserError
 from hil.verdict import VerdictConfig
 from joint_firmware.config import FirmwareConfig
@@ -33,7 +33,7 @@ class InjectionConfig(Config):
 class Scenario(Config):
     """Everything that determines a run, together with the seed."""
 
-    name: str
+    name: Annotated[str, Field(pattern=r"^[^/*$?#\x00-\x1f]{1,64}$")]  # part of a path and of Zenoh keys
     description: str = ""
     duration: Seconds = 20.0
     robot: str = "hume"
@@ -52,7 +52,8 @@ class Scenario(Config):
 
 def builtin_names() -> list[str]:
     """Names of the scenarios that come with the package."""
-    return sorted(f.name[:-5] for f in resources.files("hil").joinpath("scenarios").iterdir() if f.name.endswith(".toml"))
+    files = resources.files("hil").joinpath("scenarios").iterdir()
+    return sorted(f.name[:-5] for f in files if f.name.endswith(".toml"))
 
 
 def load(name: str, settings: typing.Sequence[str] = ()) -> Scenario:
@@ -63,7 +64,7 @@ def load(name: str, settings: typing.Sequence[str] = ()) -> Scenario:
     data, source = _read(name)
     for setting in settings:
         key, separator, text = setting.partition("=")
-        if not separator or not key.strip():
+        if not separator or not all(part.strip() for part in key.split(".")):
             raise UserError(f"--set {setting}: expected KEY=VALUE, for example --set link.command.delay=3ms")
         _assign(data, key.strip(), _literal(text.strip()))
     scenario = validate(data, source)
@@ -73,12 +74,16 @@ def load(name: str, settings: typing.Sequence[str] = ()) -> Scenario:
     return scenario.model_copy(update={"bus": buses})
 
 
-def validate(data: dict[str, Any], source: str) -> Scenario:
-    """Check ``data`` against the schema. Raises UserError naming the first wrong key and the nearest right one."""
+def validate(data: dict[str, Any], source: str = "") -> Scenario:
+    """Check ``data`` against the schema. Raises UserError naming a wrong key and what would be right."""
     try:
         return Scenario.model_validate(data)
     except ValidationError as error:
-        raise UserError(f"{source}: {_sentence(error.errors()[0])}") from None
+        errors = error.errors()
+        # a typo explains the rest
+        first = next((e for e in errors if e["type"] == "extra_forbidden"), errors[0])
+        sentence = schema.sentence(first, Scenario)
+        raise UserError(f"{source}: {sentence}" if source else sentence) from None
 
 
 def parse_value(key: str, value: Any) -> float:
@@ -88,10 +93,20 @@ def parse_value(key: str, value: Any) -> float:
     """
     data: dict[str, Any] = {"name": "value"}
     _assign(data, key, value)
-    node: Any = validate(data, "value")
+    node: Any = validate(data)
     for part in key.split("."):
         node = node[part] if isinstance(node, dict) else getattr(node, part)
+    if not isinstance(node, int | float):
+        raise UserError(f"{key} is not a number")
     return float(node)
+
+
+def to_toml(configuration: Mapping[str, Any]) -> str:
+    """A scenario's ``model_dump`` (``configuration`` in run.json) as a file that loads as an equal scenario.
+
+    One line per value, each as ``--set`` takes it.
+    """
+    return schema.to_toml(configuration, Scenario)
 
 
 def _read(name: str) -> tuple[dict[str, Any], str]:
@@ -101,15 +116,18 @@ def _read(name: str) -> tuple[dict[str, Any], str]:
             text = path.read_text(encoding="utf-8")
         except OSError as error:
             raise UserError(f"{name}: cannot be read ({error.strerror})") from None
+        except UnicodeDecodeError as error:
+            raise UserError(f"{name}: not valid TOML (byte {error.start} is not UTF-8)") from None
         source = name
     elif name in builtin_names():
         text = resources.files("hil").joinpath("scenarios", f"{name}.toml").read_text(encoding="utf-8")
         source = name
     else:
-        raise UserError(f"no scenario {name!r}{_nearest(name, builtin_names())}; `hil scenarios` lists them")
+        nearest = schema.nearest(name, builtin_names())
+        raise UserError(f"no scenario {name!r}{nearest} (a file of your own ends in .toml)")
     try:
         data = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
+    except (ValueError, RecursionError) as error:
         raise UserError(f"{source}: not valid TOML ({error})") from None
     data.setdefault("name", path.stem)
     return data, source
@@ -118,9 +136,10 @@ def _read(name: str) -> tuple[dict[str, Any], str]:
 def _literal(text: str) -> Any:
     """A value as TOML would read it; anything else is a string, so that units need no quotes on a command line."""
     try:
-        return tomllib.loads(f"value = {text}")["value"]
-    except tomllib.TOMLDecodeError:
+        read = tomllib.loads(f"value = {text}")
+    except (ValueError, RecursionError):
         return text
+    return read["value"] if len(read) == 1 else text
 
 
 def _assign(data: dict[str, Any], key: str, value: Any) -> None:
@@ -128,75 +147,70 @@ def _assign(data: dict[str, Any], key: str, value: Any) -> None:
     node = data
     for part in parents:
         node = node.setdefault(part, {})
+        if isinstance(node, list):
+            raise UserError(f"{key}: {part!r} is a list; give all of it, as in --set '{part}=[{{…}}, {{…}}]'")
         if not isinstance(node, dict):
             raise UserError(f"{key}: {part!r} is a value, not a table")
     node[leaf] = value
 
 
-def _sentence(error: Any) -> str:
-    """One pydantic error as one sentence: the key's path, what is wrong, what would be right."""
-    location = [part for part in error["loc"] if not (isinstance(part, str) and part.startswith("function-"))]
-    path = ".".join(str(part) for part in location)
-    if error["type"] == "extra_forbidden":
-        return f"unknown key {path!r}{_nearest(str(location[-1]), _keys_at(location[:-1]))}"
-    if error["type"] == "literal_error":
-        return f"{path} = {error['input']!r}: expected {error['ctx']['expected']}"
-    message = error["msg"].removeprefix("Value error, ")
-    return f"{path} = {error['input']!r}: {message[0].lower()}{message[1:]}"
-
-
-def _keys_at(location: typing.Sequence[Any]) -> list[str]:
-    """Valid keys of the table at ``location`` in the schema."""
-    kind: Any = Scenario
-    for part in location:
-        if isinstance(part, int):
-            kind = next(a for a in typing.get_args(kind) if a is not Ellipsis)
-        elif typing.get_origin(kind) is dict:
-            kind = typing.get_args(kind)[1]
-        else:
-            kind = kind.model_fields[part].annotation
-        if typing.get_origin(kind) in (typing.Union, types.UnionType):
-            kind = next(a for a in typing.get_args(kind) if a is not type(None))
-    return list(kind.model_fields) if isinstance(kind, type) and issubclass(kind, BaseModel) else []
-
-
-def _nearest(name: str, valid: typing.Sequence[str]) -> str:
-    close = difflib.get_close_matches(name, valid, n=1, cutoff=0.5)
-    if close:
-        return f"; did you mean {close[0]!r}?"
-    return f"; valid are {', '.join(valid)}" if valid else ""
-
-
 def _check_consistency(scenario: Scenario, source: str) -> None:
-    """What one key alone cannot tell: names of the robot, and rates that must fit each other."""
+    """What one key alone cannot tell: names of the robot, and times and rates that must fit each other."""
+    for problem in _inconsistencies(scenario):
+        raise UserError(f"{source}: {problem}")
+
+
+def _inconsistencies(scenario: Scenario) -> Iterator[str]:
     try:
         robot = description.load(scenario.robot)
-        for variant in (scenario.world.variant, scenario.controller.variant):
-            description.load(scenario.robot, variant)
     except description.UnknownRobotError as error:
-        raise UserError(f"{source}: {error}") from None
+        yield f"robot = {scenario.robot!r}: {error}"
+        return
+    for key, variant in (("world", scenario.world.variant), ("controller", scenario.controller.variant)):
+        try:
+            description.load(scenario.robot, variant)
+        except description.UnknownRobotError as error:
+            yield f"{key}.variant = {variant!r}: {error}"
     names = [bus.name for bus in robot.buses]
     for name in scenario.bus:
         if name not in names:
-            raise UserError(f"{source}: unknown key 'bus.{name}'{_nearest(name, names)}")
+            yield f"unknown key {f'bus.{name}'!r}{schema.nearest(name, names, 'bus')}"
+    firmware, controller = scenario.firmware, scenario.controller
     rates = {
         "world.rate": scenario.world.rate,
-        "firmware.rate": scenario.firmware.rate,
-        "firmware.report_rate": scenario.firmware.report_rate,
-        "controller.rate": scenario.controller.rate,
+        "firmware.rate": firmware.rate,
+        "firmware.report_rate": firmware.report_rate,
+        "controller.rate": controller.rate,
     }
     for key, rate in rates.items():
         if rate != int(rate) or rate > 1e6:
-            raise UserError(f"{source}: {key} = {rate:g} Hz: expected a whole number of hertz, at most 1 MHz")
+            yield f"{key} = {rate:.12g} Hz: expected a whole number of hertz, at most 1 MHz"
     for fast, slow in (("world.rate", "firmware.rate"), ("firmware.rate", "firmware.report_rate")):
         if rates[fast] % rates[slow]:
-            raise UserError(f"{source}: {fast} ({rates[fast]:g} Hz) must be a multiple of {slow} ({rates[slow]:g} Hz)")
-    if scenario.duration <= 0:
-        raise UserError(f"{source}: duration = {scenario.duration:g} s: expected more than 0 s")
+            yield f"{fast} = {rates[fast]:g} Hz: must be a multiple of {slow} ({rates[slow]:g} Hz)"
+    period = 1e3 / controller.rate
+    for key, value in (("phase", controller.phase), ("compute_time", controller.compute_time)):
+        if 1e3 * value >= period:  # one answer is under way at a time
+            yield (
+                f"controller.{key} = {1e3 * value:g} ms: must be less than the controller's period, "
+                f"{period:.4g} ms at controller.rate = {controller.rate:g} Hz"
+            )
+    for key, value in (
+        ("duration", scenario.duration),
+        ("controller.path.period", controller.path.period),
+        ("controller.orientation_time_constant", controller.orientation_time_constant),
+        ("firmware.watchdog", firmware.watchdog),
+    ):
+        if value <= 0:
+            yield f"{key} = {value:g} s: expected more than 0 s"
     from hil.injection import injectable  # the keys depend on the robot's buses
 
     keys = injectable(names)
-    for injection in scenario.inject:
+    for n, injection in enumerate(scenario.inject):
         if injection.key not in keys:
-            raise UserError(f"{source}: inject: unknown key {injection.key!r}{_nearest(injection.key, keys)}")
-        parse_value(injection.key, injection.value)
+            yield f"inject.{n}.key = {injection.key!r}: no such key{schema.nearest(injection.key, keys)}"
+            continue
+        try:
+            parse_value(injection.key, injection.value)
+        except UserError as error:
+            yield f"inject.{n}.value: {error}"

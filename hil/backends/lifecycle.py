@@ -18,9 +18,11 @@ from typing import Any
 from hil.errors import EmulationError, Interrupted
 
 _PR_SET_PDEATHSIG = 1
-REPLY = 1 << 20
-_ATTENTION = 1 << 40  # written by signal handlers: look at what happened
 STUCK_AFTER_S = 10.0
+_LOOK_S = 0.05  # how often a waiting launcher looks after its children
+_NAP_S = 20e-6
+# Polls before the first nap, some hundred microseconds; none where the awaited needs the only core.
+_SPINS = 2000 if len(os.sched_getaffinity(0)) > 1 else 0
 
 _fork = multiprocessing.get_context("fork")
 
@@ -45,43 +47,25 @@ def _status(process: Any) -> int | None:
 
 
 class Family:
-    """The processes of a run and one eventfd on which the launcher waits for all of them.
-
-    The eventfd adds up: 1 per finished joint, REPLY per answer of the controller, _ATTENTION from a signal handler.
-    Signal handlers only write to it, so a signal can neither be lost between a check and a wait nor break a step.
-    """
+    """The processes of a run: started together, watched, and ended together."""
 
     def __init__(self) -> None:
-        self.done = os.eventfd(0)
         self._processes: dict[str, Any] = {}
-        self._joints_done = 0
-        self._replies = 0
-        self._progress = 0  # waits that ended
-        self._seen = (-1, 0.0)  # progress at the last look, and when it was new
         self._signal: str | None = None
         self._previous: dict[int, Any] = {}
 
     def __enter__(self) -> Family:
         for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
             self._previous[number] = signal.signal(number, self._on_end)
-        for number in (signal.SIGCHLD, signal.SIGALRM):
-            self._previous[number] = signal.signal(number, self._on_attention)
-        signal.setitimer(signal.ITIMER_REAL, 1.0, 1.0)
         return self
 
     def __exit__(self, *_: object) -> None:
-        signal.setitimer(signal.ITIMER_REAL, 0.0)
         self.end()
         for number, handler in self._previous.items():
             signal.signal(number, handler)
-        os.close(self.done)
 
     def _on_end(self, number: int, _: object) -> None:
         self._signal = signal.Signals(number).name
-        os.eventfd_write(self.done, _ATTENTION)
-
-    def _on_attention(self, number: int, _: object) -> None:
-        os.eventfd_write(self.done, _ATTENTION)
 
     def spawn(self, name: str, target: Callable[..., None], *args: Any) -> None:
         """Fork a child that runs ``target(*args)``; it ends when that returns or the launcher is gone."""
@@ -89,9 +73,8 @@ class Family:
 
         def body() -> None:
             die_with_parent(parent)
-            signal.setitimer(signal.ITIMER_REAL, 0.0)
             signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the launcher's to handle
-            for number in (signal.SIGTERM, signal.SIGHUP, signal.SIGCHLD, signal.SIGALRM):
+            for number in (signal.SIGTERM, signal.SIGHUP):
                 signal.signal(number, signal.SIG_DFL)
             try:
                 target(*args)
@@ -129,38 +112,26 @@ class Family:
                 how = f"was killed by {signal.Signals(-code).name}" if code < 0 else f"ended with status {code}"
                 raise EmulationError(f"the process of {name} (pid {process.pid}) {how}")
 
-    def wait_joints(self, count: int) -> None:
-        """Wait until ``count`` joints have finished their tick."""
-        while self._joints_done < count:
-            self._read("the joints")
-        self._joints_done -= count
-        self._progress += 1
+    def wait(self, ready: Callable[[], Any], whom: str) -> Any:
+        """The first value of ``ready()`` that is not None. Raises as ``check`` does, and EmulationError when
+        nothing comes for STUCK_AFTER_S.
 
-    def wait_reply(self) -> None:
-        """Wait for one answer of the controller."""
-        while not self._replies:
-            self._read("the controller")
-        self._replies -= 1
-        self._progress += 1
-
-    def _read(self, whom: str) -> None:
-        try:
-            total = os.eventfd_read(self.done)
-        except InterruptedError:
-            return  # the handler has written to it: the caller reads again
-        if total >= _ATTENTION:
-            self.check()
-            self._check_stuck(whom)
-        self._joints_done += total & (REPLY - 1)
-        self._replies += (total & (_ATTENTION - 1)) >> 20
-
-    def _check_stuck(self, whom: str) -> None:
-        """Called about once a second while waiting."""
-        progress, since = self._seen
-        if progress != self._progress:
-            self._seen = (self._progress, time.monotonic())
-        elif time.monotonic() - since > STUCK_AFTER_S:
-            raise EmulationError(f"{whom} did not answer for {STUCK_AFTER_S:.0f} s")
+        Polls: a process that sleeps takes longer to wake than most answers take to come.
+        """
+        for _ in range(_SPINS):
+            value = ready()
+            if value is not None:
+                return value
+        began = looked = time.monotonic()
+        while (value := ready()) is None:
+            time.sleep(_NAP_S)
+            now = time.monotonic()
+            if now - looked > _LOOK_S:
+                looked = now
+                self.check()
+                if now - began > STUCK_AFTER_S:
+                    raise EmulationError(f"{whom} did not answer for {STUCK_AFTER_S:.0f} s")
+        return value
 
     def end(self) -> None:
         """End all children now: ask, then kill."""

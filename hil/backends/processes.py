@@ -22,7 +22,7 @@ from bus.ports import ShmPort
 from bus.python_can import HilBus
 from bus.zenoh_link import bundle_sequence, declare_publisher, encode_bundle, keys, session_config
 from hil.backends.inline import read_reply
-from hil.backends.lifecycle import REPLY, Family, quiet_collector
+from hil.backends.lifecycle import Family, quiet_collector
 from hil.backends.state_pipe import connections, receive, serve_pipe
 from hil.errors import EmulationError
 from hil.system import Item
@@ -33,7 +33,8 @@ if TYPE_CHECKING:
     from joint_firmware.firmware import JointFirmware
 
 _TICK, _SERVE_PIPE = 0, 1
-_JOINT_BLOCK = 256  # bytes: time, order, pins
+_JOINT_BLOCK = 256  # bytes: order, pins
+_TIME, _WHAT, _DONE = 0, 1, 2  # words of an order: now (ns), what to do, how many orders have been done
 
 
 class SharedPins:
@@ -44,15 +45,19 @@ class SharedPins:
         self._memory = mmap.mmap(-1, joints * self._stride)
         view = memoryview(self._memory)
         blocks = [view[j * self._stride : (j + 1) * self._stride] for j in range(joints)]
-        self.orders = [block[:16].cast("q") for block in blocks]  # time in ns, what to do
+        self.orders = [block[:24].cast("q") for block in blocks]
         whole = np.frombuffer(self._memory, np.int32).reshape(joints, self._stride // 4)
-        self.inputs = whole[:, 4 : 4 + pins.N_INPUTS]
-        self.outputs = whole[:, 16 : 16 + pins.N_OUTPUTS]
+        self.inputs = whole[:, 8 : 8 + pins.N_INPUTS]
+        self.outputs = whole[:, 24 : 24 + pins.N_OUTPUTS]
         self.ports = [block[_JOINT_BLOCK:] for block in blocks]
 
 
 class ProcessJoints:
-    """The joint nodes, each in its own process."""
+    """The joint nodes, each in its own process.
+
+    One wakes the next, and the launcher sees in shared memory when the last is done: to wake a process on
+    another core costs ten times what it costs on the same one.
+    """
 
     def __init__(
         self,
@@ -64,8 +69,10 @@ class ProcessJoints:
     ) -> None:
         self._family = family
         self._orders = shared.orders
-        self._count = len(nodes)
-        self._go = [os.eventfd(0) for _ in nodes]
+        self._last = shared.orders[-1]
+        self._ordered = 0
+        go = [os.eventfd(0) for _ in nodes]
+        self._first = go[0]
         self._ports = [ShmPort(memory) for memory in shared.ports]  # the wire's side
         self._pipes: list[Connection] = []
         for j, (node, name) in enumerate(zip(nodes, names, strict=True)):
@@ -73,54 +80,71 @@ class ProcessJoints:
             ours, theirs = connections()
             self._pipes.append(ours)
             port = ShmPort(shared.ports[j], firmware=True)
-            family.spawn(name, _joint_main, node, channels[j], port, shared.orders[j], self._go[j], family.done, theirs)
+            following = go[j + 1] if j + 1 < len(go) else None
+            family.spawn(name, _joint_main, node, channels[j], port, shared.orders[j], go[j], following, theirs)
 
     def start(self, now_ns: int, inboxes: list[list[Frame]]) -> None:
-        for order, port, go, inbox in zip(self._orders, self._ports, self._go, inboxes, strict=True):
+        for order, port, inbox in zip(self._orders, self._ports, inboxes, strict=True):
             for frame in inbox:
                 port.send_frame(frame)
-            order[0] = now_ns
-            os.eventfd_write(go, 1)
+            order[_TIME] = now_ns
+        self._order()
 
     def finish(self) -> list[list[Frame]]:
-        self._family.wait_joints(self._count)
+        self._family.wait(self._done, "the joints")
         return [port.recv_frames() for port in self._ports]
 
+    def _order(self) -> None:
+        self._ordered += 1
+        os.eventfd_write(self._first, 1)
+
+    def _done(self) -> bool | None:
+        return True if self._last[_DONE] == self._ordered else None
+
     def _ask(self, requests: Sequence[tuple[str, Any]]) -> list[Any]:
-        for order, go in zip(self._orders, self._go, strict=True):
-            order[1] = _SERVE_PIPE
-            os.eventfd_write(go, 1)
+        for order in self._orders:
+            order[_WHAT] = _SERVE_PIPE
+        self._order()
         answers = []
         for pipe, request in zip(self._pipes, requests, strict=True):
             pipe.send(request)
             answers.append(receive(self._family, pipe))
-        self._family.wait_joints(self._count)
+        self._family.wait(self._done, "the joints")
         for order in self._orders:
-            order[1] = _TICK
+            order[_WHAT] = _TICK
         return answers
 
     def snapshot(self) -> list[Any]:
-        return self._ask([("snapshot", None)] * self._count)
+        return self._ask([("snapshot", None)] * len(self._pipes))
 
     def restore(self, states: list[Any]) -> None:
         self._ask([("restore", state) for state in states])
 
 
 def _joint_main(
-    node: JointFirmware, channel: str, port: ShmPort, order: memoryview, go: int, done: int, pipe: Connection
+    node: JointFirmware,
+    channel: str,
+    port: ShmPort,
+    order: memoryview,
+    go: int,
+    following: int | None,
+    pipe: Connection,
 ) -> None:
     bus = HilBus(channel=channel, port=port)
     quiet_collector()
-    wait, finished = os.eventfd_read, os.eventfd_write
-    receive, send, tick = bus.recv_frames, bus.send_frame, node.tick
+    if os.environ.get("PINJ"): os.sched_setaffinity(0, {int(os.environ["PINJ"])})
+    wait, wake = os.eventfd_read, os.eventfd_write
+    recv_frames, send, tick = bus.recv_frames, bus.send_frame, node.tick
     while True:
         wait(go)
-        if order[1] == _TICK:
-            for frame in tick(order[0], receive()):
+        if order[_WHAT] == _TICK:
+            for frame in tick(order[_TIME], recv_frames()):
                 send(frame)
         else:
             serve_pipe(node, pipe)
-        finished(done, 1)
+        order[_DONE] += 1
+        if following is not None:
+            wake(following, 1)
 
 
 class ProcessController:
@@ -133,7 +157,6 @@ class ProcessController:
         self._family = family
         self._run = run
         self._sequence = 0
-        self._answer = b""
         self.malformed = 0
         self.session: zenoh.Session | None = None
         self.endpoint = router or f"tcp/127.0.0.1:{_free_port()}"
@@ -154,7 +177,8 @@ class ProcessController:
         except zenoh.ZError as error:
             raise EmulationError(f"Zenoh could not be opened at {self.endpoint}: {error}") from None
         names = keys(self._run)
-        self._subscriber = self.session.declare_subscriber(names.command, self._receive)
+        self._subscriber = self.session.declare_subscriber(names.command, zenoh.handlers.FifoChannel(64))
+        self._poll = self._subscriber.handler.try_recv
         self._publisher = declare_publisher(self.session, names.state)
         self._pipe.send(self.endpoint)
         receive(self._family, self._pipe)  # its session stands, its controller is built
@@ -169,27 +193,27 @@ class ProcessController:
             self.session.close()
             self.session = None
 
-    def _receive(self, sample: zenoh.Sample) -> None:
-        """On a thread of Zenoh's."""
-        answer = sample.payload.to_bytes()
-        try:
-            if bundle_sequence(answer) != self._sequence:
-                self.malformed += 1
-                return
-        except ValueError:
-            self.malformed += 1
-            return
-        self._answer = answer
-        os.eventfd_write(self._family.done, REPLY)
-
     def start(self, now_ns: int, items: list[tuple[int, int, int, bytes]]) -> None:
         self._sequence = (self._sequence + 1) & 0xFFFFFFFF
         self._publisher.put(encode_bundle(self._sequence, now_ns, items))
 
     def finish(self) -> tuple[list[Item], np.ndarray]:
-        self._family.wait_reply()
-        commands, telemetry, _ = read_reply(self._answer)
+        commands, telemetry, _ = read_reply(self._family.wait(self._answer, "the controller"))
         return commands, telemetry
+
+    def _answer(self) -> bytes | None:
+        """The awaited answer, if it has come."""
+        sample = self._poll()
+        if sample is None:
+            return None
+        answer = sample.payload.to_bytes()
+        try:
+            if bundle_sequence(answer) == self._sequence:
+                return answer
+        except ValueError:
+            pass
+        self.malformed += 1
+        return None
 
     def _ask(self, request: tuple[str, Any]) -> Any:
         self._publisher.put(b"")  # an empty sample: look at the pipe
