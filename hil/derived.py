@@ -46,12 +46,16 @@ class Derived:
         return self.world.latest_before(self.controller.times)
 
     def _world_at(self, *names: str) -> np.ndarray:
-        return self.world.vector(*names)[self.world_index] if len(self.world) else np.empty((0, len(names)))
+        if not len(self.world):
+            return np.full((len(self.controller), len(names)), np.nan)
+        return self.world.vector(*names)[self.world_index]
 
     @cached_property
     def com_reference(self) -> np.ndarray:
-        """Reference of the CoM in the sagittal plane (x, z), (n, 2), m."""
-        return self.controller.vector("com_reference.x", "com_reference.z")
+        """Reference of the CoM in the sagittal plane (x, z), (n, 2), m; NaN until the controller has one."""
+        reference = self.controller.vector("com_reference.x", "com_reference.z")
+        reference[self.controller["phase"] == 0] = np.nan
+        return reference
 
     @cached_property
     def com_true(self) -> np.ndarray:
@@ -84,6 +88,11 @@ class Derived:
     def internal_force_true(self) -> np.ndarray:
         """The world's internal force at the controller's rows, (n,), N."""
         return self._world_at("internal_force")[:, 0]
+
+    @cached_property
+    def push(self) -> np.ndarray:
+        """Force on the torso (x, z) at the controller's rows, (n, 2), N."""
+        return self._world_at("push.x", "push.z")
 
     @cached_property
     def released(self) -> int | None:

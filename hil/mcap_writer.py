@@ -146,7 +146,8 @@ class McapWriter:
                 uncompressed_size=len(content),
             )
         )
-        self._times = [first if len(self._chunk_indexes) == 1 else min(first, self._times[0]), max(last, self._times[1])]
+        begin = first if len(self._chunk_indexes) == 1 else min(first, self._times[0])
+        self._times = [begin, max(last, self._times[1])]
 
     def flush(self) -> None:
         """Hand everything to the operating system: it outlives this process."""

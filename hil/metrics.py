@@ -74,7 +74,7 @@ def _mean(values: np.ndarray) -> float | None:
 
 
 def _rms(values: np.ndarray) -> float | None:
-    return _number(np.sqrt(np.mean(np.square(values)))) if len(values) else None
+    return _number(np.sqrt(np.nanmean(np.square(values)))) if not np.all(np.isnan(values)) else None
 
 
 def _tracking(run: Derived) -> Metrics:
@@ -140,7 +140,8 @@ def _communication(run: Derived) -> Metrics:
 
     def total(prefix: str) -> dict[str, int]:
         """Last value of a count."""
-        return {bus: int(run.bus[f"{prefix}.{bus}"][-1]) if len(run.bus) else 0 for bus in buses}
+        last = {bus: run.bus[f"{prefix}.{bus}"][-1:] for bus in buses}
+        return {bus: int(np.nan_to_num(value).sum()) for bus, value in last.items()}
 
     def count(name: str) -> int:
         values = run.controller[name]
@@ -173,12 +174,13 @@ def _oscillation_entry(oscillation: Oscillation | None) -> Metrics | None:
 
 
 def _stiffness(run: Derived) -> Metrics:
-    """Stiffness at the CoM from the pushes after the release, per direction of the sagittal plane."""
+    """Stiffness at the CoM from the pushes while the controller balances, by direction."""
     result: Metrics = {}
-    times = run.controller.seconds
+    balancing = np.isfinite(run.com_error).all(axis=1)
+    times = run.controller.seconds[balancing]
     for axis, direction in enumerate("xz"):
-        force = run.world[f"push.{direction}"][run.world_index] if len(run.world) else np.empty(0)
-        fit = fit_stiffness(times, force, run.com_error[:, axis]) if len(force) else None
+        force = run.push[balancing, axis]
+        fit = fit_stiffness(times, force, run.com_error[balancing, axis])
         result[f"stiffness_{direction}"] = fit.stiffness if fit else None
         result[f"stiffness_{direction}_samples"] = fit.samples if fit else 0
     return result

@@ -21,7 +21,7 @@ class Oscillation:
     growth_error: float
 
     def grows(self, rate: float, amplitude: float) -> bool:
-        """Whether it has reached ``amplitude`` and grows faster than ``rate`` beyond the doubt of two standard errors."""
+        """Whether it is beyond ``amplitude`` and grows by two standard errors more than ``rate``."""
         return self.amplitude > amplitude and self.growth - 2.0 * self.growth_error > rate
 
 
@@ -68,7 +68,8 @@ def dominant_oscillation(times: np.ndarray, values: np.ndarray, window: float = 
         return None
     centres = t[start:].reshape(count, length).mean(axis=1)
     growth, error = _slope(centres, np.log(amplitudes))
-    return Oscillation(frequency, float(amplitudes[-1]), growth, error)
+    at_end = np.log(amplitudes).mean() + growth * (t[-1] - centres.mean())
+    return Oscillation(frequency, float(np.exp(at_end)), growth, error)
 
 
 def _peak(x: np.ndarray, rate: float, lowest: float) -> float | None:
@@ -84,7 +85,7 @@ def _peak(x: np.ndarray, rate: float, lowest: float) -> float | None:
         left, centre, right = np.log(spectrum[k - 1 : k + 2])
         curvature = left - 2.0 * centre + right
         offset = float(0.5 * (left - right) / curvature) if curvature < 0 else 0.0
-    return (k + float(np.clip(offset, -0.5, 0.5))) * rate / n
+    return float((k + np.clip(offset, -0.5, 0.5)) * rate / n)
 
 
 def _slope(t: np.ndarray, y: np.ndarray) -> tuple[float, float]:

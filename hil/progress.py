@@ -48,6 +48,7 @@ class Display:
         simulated = system.now_ns * 1e-9
         error = system.com_error()
         load = " ".join(f"{100 * share:.0f} %" for share in system.bus_loads())
-        text = f"{simulated / elapsed if elapsed > 0 else math.nan:4.2f}× real time  CoM {1e3 * error:5.1f} mm  bus {load}"
+        speed = simulated / elapsed if elapsed > 0 else math.nan
+        text = f"{speed:4.2f}× real time  CoM {1e3 * error:5.1f} mm  bus {load}"
         self._progress.update(self._task, completed=simulated, text=text)
         self._progress.refresh()

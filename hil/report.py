@@ -4,77 +4,125 @@ from __future__ import annotations
 
 import html
 import json
+import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from bus.config import Impairment
 from hil.signals import Signals
 
 _STYLE = """
-body{font:16px/1.5 system-ui,sans-serif;margin:0 auto;max-width:60rem;padding:1rem;color:#1a1a1a}
-h1{font-size:1.5rem}h2{font-size:1.1rem;margin-top:2rem}img{width:100%;height:auto}
-.stable{background:#e3f4e4;border-left:.5rem solid #2e8b3a}.unstable,.failed{background:#fbe5e3;border-left:.5rem solid #c0392b}
-.verdict{padding:.7rem 1rem;font-size:1.1rem}table{border-collapse:collapse}td,th{padding:.2rem .8rem;text-align:left;
-border-bottom:1px solid #ddd}td.n{text-align:right;font-variant-numeric:tabular-nums}pre{overflow-x:auto;font-size:.8rem}
+body{font:16px/1.5 system-ui,sans-serif;margin:0 auto;max-width:60rem;padding:1rem;
+color:#1a1a1a;background:#fff}
+h1{font-size:1.5rem}h2{font-size:1.1rem;margin:2rem 0 0}img{width:100%;height:auto}
+.caption{margin:0 0 .3rem;color:#555;font-size:.9rem}
+.verdict{padding:.7rem 1rem;font-size:1.1rem}
+.stable{background:#e3f4e4;border-left:.5rem solid #2e8b3a}
+.unstable,.failed{background:#fbe5e3;border-left:.5rem solid #c0392b}
+table{border-collapse:collapse;margin-top:.5rem}
+td,th{padding:.2rem .8rem;text-align:left;border-bottom:1px solid #ddd}
+td.n{text-align:right;font-variant-numeric:tabular-nums}
+tr.beyond td{color:#c0392b;font-weight:600}
+pre{overflow-x:auto;font-size:.8rem}
 @media print{details{display:none}img{break-inside:avoid}}
 """
 
 
-def _row(name: str, value: float | None, scale: float, unit: str, limit: str = "") -> str:
+def _row(
+    name: str, value: float | None, scale: float, unit: str, limit: float | None = None, note: str = ""
+) -> str:
+    """A row of the table of numbers; a value beyond ``limit`` (in the value's own unit) stands out."""
     number = "–" if value is None else f"{value * scale:.4g}"
-    return f"<tr><td>{name}</td><td class=n>{number}</td><td>{unit}</td><td>{limit}</td></tr>"
+    beyond = limit is not None and value is not None and value > limit
+    bound = note if limit is None else f"limit {limit * scale:.4g}{' ' + unit if unit else ''}"
+    kind = ' class="beyond"' if beyond else ""
+    return f"<tr{kind}><td>{name}</td><td class=n>{number}</td><td>{unit}</td><td>{bound}</td></tr>"
+
+
+def _amount(key: str, value: float) -> str:
+    return f"{1e3 * value:g} ms" if key in ("delay", "jitter") else f"{value:g}"
 
 
 def _impairments(configuration: Mapping[str, Any]) -> list[str]:
-    """Every impairment of the configuration that is not zero."""
+    """Every impairment and push of the configuration."""
     found = []
     groups = {f"link.{k}": v for k, v in configuration["link"].items()}
     groups |= {f"bus.{k}": v for k, v in configuration["bus"].items()}
     for target, values in groups.items():
-        for key in ("delay", "jitter", "loss", "bit_error_rate"):
+        for key in Impairment.model_fields:
             if values[key]:
-                found.append(f"{target}.{key} = {values[key]:g}{' s' if key in ('delay', 'jitter') else ''}")
-    found += [
-        f"push of {push['force']} N at {push['at']:g} s for {push['duration']:g} s" for push in configuration["push"]
-    ]
+                found.append(f"{target}.{key} = {_amount(key, values[key])} from the start")
+    for push in configuration["push"]:
+        force = ", ".join(f"{component:g}" for component in push["force"])
+        held = f"held for {push['duration']:g} s, ramps of {push['ramp']:g} s"
+        found.append(f"push of ({force}) N at {push['at']:g} s, {held}")
     return found
+
+
+def _numbers(record: Mapping[str, Any]) -> str:
+    metrics, configuration = record["metrics"], record["configuration"]
+    limits = configuration["limits"]
+    tilted = metrics.get("orientation_error_max")
+    period = 1e3 / configuration["controller"]["rate"]
+    force = "% of the reference"
+    tilt = 180.0 / math.pi
+    rows = [
+        _row("CoM error, largest", metrics.get("com_error_max"), 1e3, "mm", limits["com_error"]),
+        _row("CoM error, rms", metrics.get("com_error_rms"), 1e3, "mm"),
+        _row("torso's tilt, largest", tilted, tilt, "°", limits["orientation_error"]),
+        _row("internal force, error of the sensed", metrics.get("internal_force_error"), 100, force),
+        _row("internal force, error of the true", metrics.get("internal_force_error_truth"), 100, force),
+        _row("internal force, sensed against true", metrics.get("internal_force_sensed_vs_truth"), 100, force),
+        _row("foot slip, largest", metrics.get("foot_slip_max"), 1e3, "mm", limits["foot_slip"]),
+        _row("foot without load, longest", metrics.get("contact_loss_max"), 1e3, "ms", limits["foot_lifted"]),
+        _row("friction used, largest", metrics.get("friction_used_max"), 100, "%", 1.0),
+        _row("round trip p50", metrics.get("round_trip_p50"), 1e3, "ms"),
+        _row("round trip p99", metrics.get("round_trip_p99"), 1e3, "ms", note=f"servo period {period:.4g} ms"),
+    ]
+    for bus, load in (metrics.get("bus_load") or {}).items():
+        lost, errors = metrics["frames_lost"][bus], metrics["bus_errors"][bus]
+        name = f"load of {html.escape(bus.replace('_', ' '))}"
+        rows.append(_row(name, load, 100, "%", note=f"{lost} frames lost, {errors} bus errors"))
+    for name, entry in (metrics.get("oscillation") or {}).items():
+        if entry is not None:
+            doubt = "∞" if entry["growth_error"] is None else f"{2 * entry['growth_error']:.2g}"
+            note = f"±{doubt}, at {entry['frequency']:.2g} Hz; limit {limits['growth_rate']:g} 1/s"
+            rows.append(_row(f"oscillation of {name}, growth", entry["growth"], 1, "1/s", note=note))
+    rows.append(_row("real-time factor", record["realtime_factor"], 1, ""))
+    return f"<table>{''.join(rows)}</table>"
 
 
 def write_report(directory: Path, record: Mapping[str, Any], tables: Mapping[str, Signals]) -> Path:
     """Write ``report.html`` into ``directory`` and return its path."""
     from hil.plots import draw
+    from hil.scenario import to_toml
 
-    metrics, limits = record["metrics"], record["configuration"]["limits"]
-    rows = [
-        _row("CoM error, largest", metrics.get("com_error_max"), 1e3, "mm", f"limit {1e3 * limits['com_error']:g}"),
-        _row("CoM error, rms", metrics.get("com_error_rms"), 1e3, "mm"),
-        _row("internal force, error of the sensed", metrics.get("internal_force_error"), 100, "% of reference"),
-        _row("internal force, error of the true", metrics.get("internal_force_error_truth"), 100, "% of reference"),
-        _row("internal force, sensed against true", metrics.get("internal_force_sensed_vs_truth"), 100, "% of reference"),
-        _row("foot slip, largest", metrics.get("foot_slip_max"), 1e3, "mm", f"limit {1e3 * limits['foot_slip']:g}"),
-        _row("friction used, largest", metrics.get("friction_used_max"), 100, "%", "limit 100"),
-        _row("round trip p50", metrics.get("round_trip_p50"), 1e3, "ms"),
-        _row("round trip p99", metrics.get("round_trip_p99"), 1e3, "ms", "servo period 0.667"),
-        _row("real-time factor", record["realtime_factor"], 1, ""),
-    ]
     injected = _impairments(record["configuration"])
     injected += [f"{i['key']} = {i['value']} from {i['time_s']:.3f} s on" for i in record["injected"]]
     items = "".join(f"<li>{html.escape(text)}</li>" for text in injected) or "<li>nothing</li>"
     plots = "".join(
-        f'<h2>{html.escape(title)}</h2><img alt="{html.escape(title)}" src="data:image/png;base64,{data}">'
-        for title, data in draw(record, tables)
+        f"<h2>{html.escape(title)}</h2><p class=caption>{html.escape(caption)}</p>"
+        f'<img alt="{html.escape(title)}" src="data:image/png;base64,{png}">'
+        for title, caption, png in draw(record, tables, directory)
     )
     title = f"{record['scenario']}, seed {record['seed']}"
+    about = html.escape(record["configuration"]["description"])
+    rest = json.dumps({key: record[key] for key in ("versions", "metrics")}, indent=1)
+    settle = record["configuration"]["limits"]["settle"]
     page = f"""<!doctype html><html lang=en><meta charset=utf-8>
-<meta name=viewport content="width=device-width,initial-scale=1"><title>{html.escape(title)}</title><style>{_STYLE}</style>
+<meta name=viewport content="width=device-width,initial-scale=1"><title>{html.escape(title)}</title>
+<style>{_STYLE}</style>
 <h1>{html.escape(title)}</h1>
-<p>{record['backend']} backend, {record['clock']} clock, {record['simulated_time']:.2f} s simulated,
-digest <code>{record['log_digest'][:16]}</code></p>
-<p class="verdict {record['verdict']}"><b>{record['verdict']}</b>: {html.escape(record['reason'])}</p>
-<h2>Key numbers</h2><table>{''.join(rows)}</table>
-<h2>Injected</h2><ul>{items}</ul>{plots}
-<details><summary>Exact configuration, versions and metrics</summary>
-<pre>{html.escape(json.dumps({k: record[k] for k in ('configuration', 'versions', 'metrics')}, indent=1))}</pre></details>
+<p>{about}<br>{record["backend"]} backend, {record["clock"]} clock, {record["simulated_time"]:.2f} s simulated,
+digest <code>{record["log_digest"][:16]}</code></p>
+<p class="verdict {record["verdict"]}"><b>{record["verdict"]}</b>: {html.escape(record["reason"])}</p>
+<h2>Injected</h2><ul>{items}</ul>
+<h2>Key numbers</h2><p class=caption>From {settle:g} s on (grey in the plots: settling).
+Dash-dotted lines: injections while it ran.</p>{_numbers(record)}{plots}
+<details><summary>Exact configuration, a scenario file: --seed {record["seed"]} repeats the run</summary>
+<pre>{html.escape(to_toml(record["configuration"]))}</pre></details>
+<details><summary>Versions and all metrics</summary><pre>{html.escape(rest)}</pre></details>
 """
     path = directory / "report.html"
     path.write_text(page, encoding="utf-8")

@@ -9,7 +9,7 @@ import numpy as np
 CUTOFF = 2.0  # Hz; what is slower counts as quasi-static
 _BASELINE = 0.25  # s before a push: where the CoM was
 _MARGIN = 0.25  # s on either side of a push: the low-pass smears its edges over this
-_FORCE = 1.0  # N; less is no push
+_FORCE = 1e-3  # N; less is no push: a higher threshold would take the foot of a ramp for rest
 
 
 @dataclass(frozen=True)

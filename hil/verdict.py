@@ -5,11 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
+from pydantic import Field
 
 from bus.messages import Statusword
+from hil.oscillation import Oscillation
 from robots.quantities import Config, Gain, Metres, Radians, Seconds
 
 if TYPE_CHECKING:
@@ -21,12 +23,16 @@ class VerdictConfig(Config):
     """Limits of a stable run."""
 
     settle: Seconds = 2.5  # errors count from here on
-    com_error: Metres = 0.05
-    orientation_error: Radians = 0.26
-    foot_slip: Metres = 0.03
+    com_error: Annotated[Metres, Field(ge=0)] = 0.05
+    orientation_error: Annotated[Radians, Field(ge=0)] = 0.26
+    foot_slip: Annotated[Metres, Field(ge=0)] = 0.03
+    foot_lifted: Seconds = 0.1  # longest without load
     fall_height: Gain = 0.6  # share of the CoM's height at the start below which the robot has fallen
     growth_rate: Gain = 0.2  # 1/s of an oscillation
-    growth_amplitude: Metres = 0.005  # from which a growing oscillation counts (m or rad)
+    growth_amplitude: Annotated[Metres, Field(ge=0)] = 0.005  # m or rad, from which growth counts
+
+
+_ON = 3  # the controller's phase in which its torques are whole (central_controller.controller.Phase)
 
 
 @dataclass(frozen=True)
@@ -77,15 +83,17 @@ class Monitor:
         for name, start, i in zip(self._feet_names, self._stood, self._feet, strict=True):
             slip = math.dist(world[i : i + 3], start)
             if slip > limits.foot_slip:
-                return f"foot slipped: {name} by {1e3 * slip:.0f} mm (limit {1e3 * limits.foot_slip:.0f} mm) at {time:.2f} s"
-        if time < limits.settle:
+                limit = f"(limit {1e3 * limits.foot_slip:.0f} mm)"
+                return f"foot slipped: {name} by {1e3 * slip:.0f} mm {limit} at {time:.2f} s"
+        if time < limits.settle or controller[self._phase] < _ON:
             return None
         error = math.dist(world[self._com], controller[self._reference])
         if error > limits.com_error:
-            return f"CoM error {1e3 * error:.0f} mm beyond {1e3 * limits.com_error:.0f} mm at {time:.2f} s"
+            return f"CoM error {1e3 * error:.1f} mm (limit {1e3 * limits.com_error:.1f} mm) at {time:.2f} s"
         angle = float(np.abs(world[self._angles]).max())
         if angle > limits.orientation_error:
-            return f"torso tilted by {math.degrees(angle):.1f}° (limit {math.degrees(limits.orientation_error):.0f}°) at {time:.2f} s"
+            limit = f"(limit {math.degrees(limits.orientation_error):.1f}°)"
+            return f"torso tilted by {math.degrees(angle):.1f}° {limit} at {time:.2f} s"
         return None
 
 
@@ -99,15 +107,20 @@ def judge(tables: Mapping[str, Signals], scenario: Scenario, stopped: str | None
     metrics = compute_metrics(tables, settle=limits.settle, terrain=scenario.terrain)
     if stopped is not None:
         return Verdict(False, stopped, metrics)
-    for name, oscillation in (metrics.get("oscillation") or {}).items():
-        if oscillation is None:
+    lifted = metrics["contact_loss_max"]
+    if lifted is not None and lifted > limits.foot_lifted:
+        limit = f"(limit {limits.foot_lifted:g} s)"
+        return Verdict(False, f"a foot was without load for {lifted:.2f} s {limit}", metrics)
+    for name, entry in metrics["oscillation"].items():
+        if entry is None or entry["growth_error"] is None:
             continue
-        rate, amplitude = oscillation["growth"], oscillation["amplitude"]
-        if rate is not None and rate > limits.growth_rate and amplitude > limits.growth_amplitude:
-            return Verdict(
-                False, f"growing oscillation of {name} at {oscillation['frequency']:.1f} Hz, {rate:.2f} 1/s", metrics
-            )
-    phase = tables["controller"]["phase"][-1]
-    if scenario.duration > limits.settle and phase < 3:
+        oscillation = Oscillation(**entry)
+        if oscillation.grows(limits.growth_rate, limits.growth_amplitude):
+            what = f"growing oscillation of {name} at {oscillation.frequency:.1f} Hz"
+            rate = f"{oscillation.growth:.2f} 1/s (limit {limits.growth_rate:g} 1/s)"
+            return Verdict(False, f"{what}, {rate}", metrics)
+    if scenario.duration <= limits.settle:
+        return Verdict(True, f"stood to the end, which is before errors count ({limits.settle:g} s)", metrics)
+    if tables["controller"]["phase"][-1] < _ON:
         return Verdict(False, "the drives were never all switched on", metrics)
     return Verdict(True, "stood to the end within all limits", metrics)

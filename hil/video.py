@@ -30,11 +30,18 @@ def write_video(directory: Path, world: Any, table: Signals) -> Path:
         "-s", f"{width}x{height}", "-r", str(FPS), "-i", "-", "-c:v", "libx264", "-pix_fmt", "yuv420p", str(path),
     ]  # fmt: skip
     try:
-        with subprocess.Popen(command, stdin=subprocess.PIPE) as encoder:
-            assert encoder.stdin is not None
-            for picture in frames(world.model, rows, width, height):
-                encoder.stdin.write(picture.tobytes())
-            encoder.stdin.close()
+        with subprocess.Popen(command, stdin=subprocess.PIPE, stderr=subprocess.PIPE) as encoder:
+            assert encoder.stdin is not None and encoder.stderr is not None
+            try:
+                for picture in frames(world.model, rows, width, height):
+                    encoder.stdin.write(picture.tobytes())
+                encoder.stdin.close()
+            except BrokenPipeError:  # its own words say why
+                pass
+            message = encoder.stderr.read().decode("utf-8", "replace").strip()
     except RenderError as error:
-        raise EmulationError(str(error)) from None
+        path.unlink(missing_ok=True)
+        raise EmulationError(f"no video: {error}") from None
+    if encoder.returncode:
+        raise EmulationError(f"no video: {message or 'the encoder failed'}")
     return path
