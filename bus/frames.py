@@ -14,13 +14,30 @@ class InvalidFrameError(ValueError):
 
 
 class Frame(NamedTuple):
-    """A data frame. ``fd`` frames switch to the data bit rate after arbitration when ``brs`` is set."""
+    """A data or remote frame. ``fd`` frames switch to the data bit rate after arbitration when ``brs`` is set.
+
+    A remote frame carries no data: only the length of ``data`` counts, as its DLC. ``esi`` of a CAN FD frame tells
+    that its sender is error passive.
+    """
 
     id: int
     data: bytes
     fd: bool = True
     brs: bool = True
     extended: bool = False
+    remote: bool = False
+    esi: bool = False
+
+
+class ErrorFrame(NamedTuple):
+    """What a controller tells its application of an error, as SocketCAN puts it (``linux/can/error.h``).
+
+    classes: error classes (``CAN_ERR_*``, without ``CAN_ERR_FLAG``). data: eight bytes; the last two are the
+    transmit and receive error counters.
+    """
+
+    classes: int
+    data: bytes
 
 
 def is_valid(identifier: int, length: int, fd: bool, brs: bool, extended: bool) -> bool:

@@ -37,7 +37,7 @@ class MalformedRecordError(ValueError):
 
 def pack_frame(frame: Frame, time_ns: int = 0, sender: int = 0, own: bool = False) -> bytes:
     """The record of ``frame``."""
-    identifier, data, fd, brs, extended = frame
+    identifier, data, fd, brs, extended, _, _ = frame
     flags = (_FD if fd else 0) | (_BRS if brs else 0) | (_EXTENDED if extended else 0)
     return _RECORD.pack(time_ns, identifier, flags, sender, len(data), own) + data
 
@@ -87,7 +87,7 @@ class _Ring:
             self.overruns += 1
             return False
         written = ends[0]
-        identifier, data, fd, brs, extended = frame
+        identifier, data, fd, brs, extended, _, _ = frame
         flags = (_FD if fd else 0) | (_BRS if brs else 0) | (_EXTENDED if extended else 0)
         _SLOT.pack_into(self._slots, written % _SLOTS * _SLOT_SIZE, identifier, flags, len(data), data)
         ends[0] = written + 1

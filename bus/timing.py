@@ -80,7 +80,7 @@ def _prefix(identifier: int, length: int, fd: bool, brs: bool, extended: bool) -
 def frame_bits(frame: Frame) -> FrameBits:
     """Bits of ``frame`` before its tail of TAIL bits, per rate. Raises InvalidFrameError for an impossible
     frame."""
-    identifier, data, fd, brs, extended = frame
+    identifier, data, fd, brs, extended, _, _ = frame
     state, crc, slow, fast, switches = _prefix(identifier, len(data), fd, brs, extended)
     state, stuffed = stuffing.after_bytes(state, data)
     if switches:

@@ -34,8 +34,6 @@ def main(descriptor: int, parent: int) -> None:
     names = keys(run)
     inbox = session.declare_subscriber(names.state, zenoh.handlers.FifoChannel(64))
     publisher = declare_publisher(session, names.command)
-    import os
-    if os.environ.get("PINC"): [os.sched_setaffinity(int(t), {int(os.environ["PINC"])}) for t in os.listdir("/proc/self/task")]
     pipe.send("ready")
     quiet_collector()
     while True:

@@ -132,7 +132,6 @@ def _joint_main(
 ) -> None:
     bus = HilBus(channel=channel, port=port)
     quiet_collector()
-    if os.environ.get("PINJ"): os.sched_setaffinity(0, {int(os.environ["PINJ"])})
     wait, wake = os.eventfd_read, os.eventfd_write
     recv_frames, send, tick = bus.recv_frames, bus.send_frame, node.tick
     while True:
