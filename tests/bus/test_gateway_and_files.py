@@ -158,7 +158,7 @@ def test_python_can_reads_a_log_line_back(time_ns: int, frame: Frame) -> None:
         read.is_fd,
         read.bitrate_switch,
         read.is_extended_id,
-    ) == frame
+    ) == frame[:5]
 
 
 @given(frames())
