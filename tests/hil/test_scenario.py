@@ -186,7 +186,7 @@ MISTAKES = {
     "0.6667 ms at controller.rate = 1500 Hz",
     "controller.phase=-1us": "controller.phase = '-1us': expected at least 0 s",
     "controller.path.period=0s": "controller.path.period = 0 s: expected more than 0 s",
-    "controller.enable_at=-1s": "controller.enable_at = '-1s': expected at least 0 s",
+    "controller.stand_at=-1s": "controller.stand_at = '-1s': expected at least 0 s",
     "world.hoist.hold=-1s": "world.hoist.hold = '-1s': expected at least 0 s",
     "world.planarizer.enabled=maybe": "world.planarizer.enabled = 'maybe': expected true or false",
     "terrain.kind=hill": "terrain.kind = 'hill': expected 'flat' or 'split'",
