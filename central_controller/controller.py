@@ -117,7 +117,8 @@ class Controller:
         inputs = {
             **self._model.sources,
             "counts": self._counts, "gyro": self._gyro, "zero": self._hanging.zero, "force": self._force,
-            "memory": self._memory, "q": self._q, "v": self._v, "start": self._start, "held": self._held, "schedule": self._schedule,
+            "memory": self._memory, "q": self._q, "v": self._v,
+            "start": self._start, "held": self._held, "schedule": self._schedule,
             "gains": self._gains, "path": path_constants(config.path), "filters": filter_constants(config),
             "internal_force": np.array([config.internal_force.reference, gain]),
         }  # fmt: skip

@@ -63,8 +63,8 @@ def whole_body_control(contacts: int, tasks: int) -> ca.Function:
     """The control law for ``contacts`` point feet (1 or 2) and ``tasks`` task coordinates.
 
     Inputs: A (12, 12), h (12), J (3 contacts, 12), Jdot_dq, Jt (tasks, 12), Jtdot_dq, u (tasks); with two contacts
-    also line (3: x̂, unit vector from left to right foot), reference (F_int,ref), sensed (6 joint torques). Outputs: torque (6), reaction F_r (3 contacts); with two contacts also internal, the
-    sensed internal force (5.3).
+    also line (3: x̂, unit vector from left to right foot), reference (F_int,ref), sensed (6 joint torques).
+    Outputs: torque (6), reaction F_r (3 contacts); with two contacts also internal, the sensed internal force (5.3).
     """
     a, h = ca.SX.sym("A", DOFS, DOFS), ca.SX.sym("h", DOFS)
     jacobian, bias = ca.SX.sym("J", 3 * contacts, DOFS), ca.SX.sym("Jdot_dq", 3 * contacts)

@@ -87,9 +87,9 @@ class Recorder:
         buses: Sequence[str],
         format_line: FormatLine | None = None,
     ) -> None:
-        if format_line is None:
-            from bus.candump import format_line
-        self._format_line: FormatLine = format_line
+        from bus import candump
+
+        self._format_line: FormatLine = format_line or candump.format_line
         self._channels = {name: RowRecorder(name, signals) for name, signals in channels.items()}
         self._buses = tuple(buses)
         self._frames: list[list[tuple[int, Frame | str]]] = [[] for _ in buses]
