@@ -21,7 +21,8 @@ CASES = {
 
 @pytest.mark.parametrize("case", CASES)
 def test_stands(case: str) -> None:
-    outcome = run(Request(load(case.split(",")[0], ["duration=4s", *CASES[case]]), seed=3, backend="inline", report=False))
+    scenario = load(case.split(",")[0], ["duration=4s", *CASES[case]])
+    outcome = run(Request(scenario, seed=3, backend="inline", report=False))
     metrics = outcome.record["metrics"]
     assert outcome.stable, outcome.record["reason"]
     assert metrics["com_error_max"] < 0.02

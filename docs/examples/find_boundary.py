@@ -1,4 +1,4 @@
-"""Where does a run turn unstable? Bisects one key of a scenario: python docs/examples/bisect.py KEY LOW HIGH
+"""Where does a run turn unstable? Bisects one key of a scenario: python docs/examples/find_boundary.py KEY LOW HIGH
 
 LOW must be stable and HIGH unstable, both with their unit: link.command.delay 0ms 20ms. Every line is one run.
 """
