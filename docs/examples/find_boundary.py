@@ -1,6 +1,7 @@
-"""Where does a run turn unstable? Bisects one key of a scenario: python docs/examples/find_boundary.py KEY LOW HIGH
+"""Where does a run turn unstable? Bisects an injectable key: python docs/examples/find_boundary.py KEY LOW HIGH
 
-LOW must be stable and HIGH unstable, both with their unit: link.command.delay 0ms 20ms. Every line is one run.
+LOW must be stable and HIGH unstable, both with their unit: link.command.delay 0ms 20ms. Every line is one run, in which
+the value is injected once the robot stands (--at), so that what is found is the margin of standing, not of standing up.
 """
 
 from __future__ import annotations
@@ -18,7 +19,9 @@ def main() -> None:
     parser.add_argument("low")
     parser.add_argument("high")
     parser.add_argument("--scenario", default="split-terrain")
+    parser.add_argument("--at", default="5s", help="when the value is injected (5s)")
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--set", action="append", default=[], dest="settings", metavar="KEY=VALUE")
     parser.add_argument("--steps", type=int, default=7)
     options = parser.parse_args()
     unit = re.sub(r"[-+.0-9e]", "", options.high)
@@ -40,7 +43,8 @@ def main() -> None:
 
 def attempt(options: argparse.Namespace, value: str) -> bool:
     """One run, printed as a line. Returns whether it was stable."""
-    scenario = load(options.scenario, [f"{options.key}={value}"])
+    injection = f'inject=[{{at="{options.at}", key="{options.key}", value="{value}"}}]'
+    scenario = load(options.scenario, [*options.settings, injection])
     outcome = run(Request(scenario, seed=options.seed, backend="inline", report=False))
     metrics = outcome.record["metrics"]
 
