@@ -88,7 +88,7 @@ class Monitor:
         if time < limits.settle or controller[self._phase] < _ON:
             return None
         # the controller's origin is the midpoint of the feet
-        x, _, z = sum(self._stood) / len(self._stood)  # type: ignore[arg-type]
+        x, _, z = np.mean(self._stood, axis=0)
         com_x, com_z = world[self._com]
         error = math.dist((com_x - x, com_z - z), controller[self._reference])
         if error > limits.com_error:
