@@ -18,8 +18,11 @@ FOOT_SWITCH_FORCE = 5.0  # N that close a foot's switch
 
 
 def sense(n: int) -> ca.Function:
-    """Counts of ``n`` drives: ``(rotor[2n], q[n], current[n], noise[n], p[n, 5]) -> counts[3, n]``: motor encoder, spring
-    encoder, current ADC. p: scales of both encoders, their zeros' errors [counts], noise [A]."""
+    """Counts of ``n`` drives: ``(rotor[2n], q[n], current[n], noise[n], p[n, 5]) -> counts[3, n]``.
+
+    counts: motor encoder, spring encoder, current ADC. p: scales of both encoders, error of the spring's zero [counts],
+    error of the current's zero and its noise [A].
+    """
     rotor, q, current = ca.SX.sym("rotor", 2 * n), ca.SX.sym("q", n), ca.SX.sym("current", n)
     noise, p = ca.SX.sym("noise", n), ca.SX.sym("p", n, 5)
     encoder, spring, spring_bias, current_bias, deviation = ca.horzsplit(p)
