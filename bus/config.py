@@ -1,24 +1,107 @@
-"""Configuration of buses and links."""
+"""Configuration of buses and links, and of everything that can be made wrong about them.
+
+The fields of ``Impairment``, ``Babble``, ``Background`` and ``NodeFaults`` can also be injected while a run goes on:
+their descriptions, units, bounds and defaults are what ``hil inject --list`` shows.
+"""
 
 from __future__ import annotations
 
-from robots.quantities import BitRate, Config, Probability, Seconds
+from typing import Annotated, Any, Literal
+
+from pydantic import BeforeValidator, Field
+
+from robots.quantities import BitRate, Config, FrameRate, PartsPerMillion, Probability, Seconds
+
+
+def _whole(value: Any) -> Any:
+    """Whole numbers may be written as on a command line: "64", "0x181"."""
+    try:
+        return int(value, 0) if isinstance(value, str) else value
+    except ValueError:
+        return value
+
+
+Identifier = Annotated[int, BeforeValidator(_whole), Field(ge=0, le=0x7FF)]
+FrameLength = Annotated[
+    Literal[0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64], BeforeValidator(_whole)
+]  # what a CAN FD frame can carry
+Share = Annotated[float, Field(ge=0, le=0.99)]
+
+
+class Burst(Config):
+    """Losses in bursts (Gilbert 1960, Elliott 1963): a Markov chain of two states that steps at every delivery.
+
+    Bursts last 1/leave deliveries in the mean; enter / (enter + leave) of all deliveries fall into one.
+    """
+
+    enter: Probability = Field(0.0, description="probability per delivery that a burst of losses begins; 0: none")
+    leave: Probability = Field(0.2, description="probability per delivery that a burst ends; it lasts 1/leave")
+    loss: Probability = Field(1.0, description="share of the deliveries within a burst that vanish")
 
 
 class Impairment(Config):
-    """What a link does to what it carries. The same four faults for a CAN bus and for a Zenoh link."""
+    """What a link does to what it carries. The same faults for a CAN bus and for a Zenoh link."""
 
-    delay: Seconds = 0.0  # added to every delivery
-    jitter: Seconds = 0.0  # added on top, uniform in [0, jitter]
-    loss: Probability = 0.0  # share of deliveries that vanish
-    bit_error_rate: Probability = 0.0  # per bit; CAN retransmits the frame, a link discards the sample
+    delay: Seconds = Field(0.0, description="added to every delivery")
+    jitter: Seconds = Field(0.0, description="added on top at random; later deliveries may overtake")
+    jitter_shape: Literal["uniform", "normal", "exponential", "lognormal", "pareto"] = Field(
+        "uniform",
+        description="uniform in [0, jitter]; normal: half a normal, sigma = jitter; exponential, lognormal (sigma of "
+        "the logarithm 1) and pareto (tail x^-3) have the mean jitter",
+    )
+    loss: Probability = Field(0.0, description="share of deliveries that vanish")
+    burst: Burst = Burst()
+    bit_error_rate: Probability = Field(
+        0.0, description="per bit, and noticed: CAN retransmits the frame, a link discards the sample"
+    )
+    corruption: Probability = Field(0.0, description="share of deliveries with one flipped bit that no check notices")
+    duplicate: Probability = Field(0.0, description="share of deliveries that arrive twice")
+    reorder: Probability = Field(0.0, description="share of deliveries held back until behind the next (10 ms at most)")
+
+
+class Babble(Config):
+    """A babbling idiot: a node that sends one identifier over and over, whether anybody wants it or not.
+
+    Beyond the rate that the bus can carry it sends back to back: then nothing of a lower priority gets through.
+    """
+
+    rate: FrameRate = Field(0.0, description="frames per second; 0: silent; beyond the bus's capacity: back to back")
+    identifier: Identifier = Field(0x001, description="the lower, the more it starves")
+    length: FrameLength = Field(8, description="bytes")
+
+
+class Background(Config):
+    """Other nodes' traffic: frames of a range of identifiers, CAN FD with bit-rate switch, with random content."""
+
+    load: Share = Field(0.0, description="share of the bus's time that it asks for; 0: none")
+    pattern: Literal["periodic", "poisson"] = Field(
+        "periodic", description="evenly spaced, identifiers in turn; or at random times, identifiers at random"
+    )
+    identifier: Identifier = Field(0x101, description="the first; below 0x181 they take precedence over drives' states")
+    identifiers: Annotated[int, BeforeValidator(_whole), Field(ge=1, le=128)] = Field(16, description="how many")
+    length: FrameLength = Field(8, description="bytes")
+
+
+class NodeFaults(Config):
+    """What is wrong with one node of a bus."""
+
+    cut: bool = Field(False, description="its cable is cut: it neither sends, receives nor acknowledges")
+    stuck_dominant: bool = Field(False, description="its transceiver holds the bus dominant: nothing gets through")
+    bit_rate: Annotated[float, Field(ge=0.5, le=2)] = Field(1.0, description="its bit rates over the bus's")
+    node_id: Annotated[int, BeforeValidator(_whole), Field(ge=0, le=127)] = Field(
+        0, description="it sends with the identifiers of this node, as if set up wrongly; 0: its own"
+    )
+    drift: PartsPerMillion = Field(0.0, description="its clock runs fast (slow when negative) against the others'")
 
 
 class BusConfig(Impairment):
-    """A CAN FD bus: its two bit rates and its impairments."""
+    """A CAN FD bus: its two bit rates, its impairments, unwanted traffic, and faults of its nodes by name."""
 
     arbitration_rate: BitRate = 1e6
     data_rate: BitRate = 5e6
+    babble: Babble = Babble()
+    background: Background = Background()
+    node: dict[str, NodeFaults] = Field(default_factory=dict)
 
 
 class LinkConfig(Config):

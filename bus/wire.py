@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 from bus.config import BusConfig
 from bus.frames import Frame
-from bus.impairment import ImpairmentModel
+from bus.impairment import ImpairmentModel, Line
 from bus.link import NEVER
 from bus.timing import INTERMISSION, TAIL, BitRates, FrameBits, frame_bits
 
@@ -51,6 +51,12 @@ def _priority(frame: Frame) -> int:
     return frame.id << 20
 
 
+def _changed(item: tuple[int, Frame], change: Callable[[bytes], bytes]) -> tuple[int, Frame]:
+    sender, frame = item
+    data = change(frame.data)
+    return item if data is frame.data else (sender, frame._replace(data=data))
+
+
 class Wire:
     """One bus with ``ports`` ports. Event driven: ``next_time`` tells when ``advance`` has something to do.
 
@@ -71,7 +77,7 @@ class Wire:
         self._order = 0
         self._free_at = 0  # the bus is idle from here on
         self._sending: tuple[int, bool, _Entry] | None = None  # ends at, intact
-        self._delayed: list[tuple[int, int, Delivery]] = []  # by time, sequence
+        self._line = Line(self._impairment, _changed)  # impaired deliveries: (sender, frame)
         self.busy_ns = 0
         self.sent = 0
         self.lost = 0
@@ -110,8 +116,8 @@ class Wire:
         sending = self._sending
         if sending is not None and sending[0] <= now_ns:
             self._finish(now_ns, sending, delivered)
-        while self._delayed and self._delayed[0][0] <= now_ns:
-            delivered.append(heapq.heappop(self._delayed)[2])
+        if self._line.next_ns <= now_ns:
+            delivered += [Delivery(arrival, *item) for arrival, item in self._line.pop_due(now_ns)]
         if self._sending is None and self._waiting and self._free_at <= now_ns:
             self._start(now_ns)
         self._schedule()
@@ -166,18 +172,10 @@ class Wire:
         port, frame = entry[1], entry[4]
         self.sent += 1
         self._queued[port] -= 1
-        impairment = self._impairment
-        if impairment.clean:
+        if self._impairment.clean:
             delivered.append(Delivery(now_ns, port, frame))
-        elif impairment.lost():
+        elif not self._line.send(now_ns, (port, frame)):
             self.lost += 1
-        else:
-            arrival = now_ns + impairment.extra_ns()
-            if arrival == now_ns:
-                delivered.append(Delivery(now_ns, port, frame))
-            else:
-                self._order += 1
-                heapq.heappush(self._delayed, (arrival, self._order, Delivery(arrival, port, frame)))
 
     def _schedule(self) -> None:
         if self._sending is not None:
@@ -186,11 +184,24 @@ class Wire:
             upcoming = self._free_at
         else:
             upcoming = NEVER
-        if self._delayed and self._delayed[0][0] < upcoming:
-            upcoming = self._delayed[0][0]
+        if self._line.next_ns < upcoming:
+            upcoming = self._line.next_ns
         self._next = upcoming
 
-    def set(self, key: str, value: float) -> None:
+    def queued(self, port: int) -> int:
+        """How many frames wait in the transmit queue of ``port``, the one on the wire included."""
+        return self._queued[port]
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """What has happened to the frames so far."""
+        line = self._line
+        return {
+            "sent": self.sent, "lost": self.lost, "errors": self.errors, "refused": self.refused,
+            "duplicated": line.duplicated, "corrupted": line.corrupted, "reordered": line.reordered,
+        }  # fmt: skip
+
+    def set(self, key: str, value: Any) -> None:
         """Change one impairment from the next frame on."""
         self._impairment.set(key, value)
 
@@ -205,7 +216,7 @@ class Wire:
             "waiting": list(self._waiting),
             "queued": list(self._queued),
             "waits": {key: list(entry) for key, entry in self._waits.items()},
-            "delayed": list(self._delayed),
+            "line": self._line.snapshot(),
             "impairment": self._impairment.snapshot(),
         }
 
@@ -215,5 +226,5 @@ class Wire:
         self._waiting = list(state["waiting"])
         self._queued = list(state["queued"])
         self._waits = {key: list(entry) for key, entry in state["waits"].items()}
-        self._delayed = list(state["delayed"])
+        self._line.restore(state["line"])
         self._impairment.restore(state["impairment"])

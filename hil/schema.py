@@ -85,10 +85,10 @@ def _below(kind: Any, part: str | int) -> tuple[Any, str | None]:
         inner = typing.get_args(kind)[1]
     elif typing.get_origin(kind) is tuple and isinstance(part, int):
         inner = typing.get_args(kind)[0]
-    if typing.get_origin(inner) is Annotated:
-        inner, *metadata = typing.get_args(inner)  # type: ignore[assignment]
     if typing.get_origin(inner) in (typing.Union, types.UnionType):
         inner = next(a for a in typing.get_args(inner) if a is not type(None))
+    if typing.get_origin(inner) is Annotated:
+        inner, *metadata = typing.get_args(inner)  # type: ignore[assignment]
     extras = [m.json_schema_extra for m in metadata if isinstance(m, FieldInfo) and m.json_schema_extra]
     return inner, next((str(e["unit"]) for e in extras if isinstance(e, dict) and "unit" in e), None)
 
