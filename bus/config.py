@@ -34,29 +34,29 @@ class Burst(Config):
     Bursts last 1/leave deliveries in the mean; enter / (enter + leave) of all deliveries fall into one.
     """
 
-    enter: Probability = Field(0.0, description="probability per delivery that a burst of losses begins; 0: none")
-    leave: Probability = Field(0.2, description="probability per delivery that a burst ends; it lasts 1/leave")
-    loss: Probability = Field(1.0, description="share of the deliveries within a burst that vanish")
+    enter: Probability = Field(default=0.0, description="probability per delivery that a burst begins; 0: none")
+    leave: Probability = Field(default=0.2, description="probability per delivery that a burst ends; it lasts 1/leave")
+    loss: Probability = Field(default=1.0, description="share of the deliveries within a burst that vanish")
 
 
 class Impairment(Config):
     """What a link does to what it carries. The same faults for a CAN bus and for a Zenoh link."""
 
-    delay: Seconds = Field(0.0, description="added to every delivery")
-    jitter: Seconds = Field(0.0, description="added on top at random; later deliveries may overtake")
+    delay: Seconds = Field(default=0.0, description="added to every delivery")
+    jitter: Seconds = Field(default=0.0, description="added on top at random; later deliveries may overtake")
     jitter_shape: Literal["uniform", "normal", "exponential", "lognormal", "pareto"] = Field(
-        "uniform",
+        default="uniform",
         description="uniform in [0, jitter]; normal: half a normal, sigma = jitter; exponential, lognormal (sigma of "
         "the logarithm 1) and pareto (tail x^-3) have the mean jitter",
     )
-    loss: Probability = Field(0.0, description="share of deliveries that vanish")
+    loss: Probability = Field(default=0.0, description="share of deliveries that vanish")
     burst: Burst = Burst()
     bit_error_rate: Probability = Field(
-        0.0, description="per bit, and noticed: CAN retransmits the frame, a link discards the sample"
+        default=0.0, description="per bit, and noticed: CAN retransmits the frame, a link discards the sample"
     )
-    corruption: Probability = Field(0.0, description="share of deliveries with one flipped bit that no check notices")
-    duplicate: Probability = Field(0.0, description="share of deliveries that arrive twice")
-    reorder: Probability = Field(0.0, description="share of deliveries held back until behind the next (10 ms at most)")
+    corruption: Probability = Field(default=0.0, description="share of deliveries with a bit flipped unnoticed")
+    duplicate: Probability = Field(default=0.0, description="share of deliveries that arrive twice")
+    reorder: Probability = Field(default=0.0, description="share of deliveries overtaken by the next")
 
 
 class Babble(Config):
@@ -65,33 +65,35 @@ class Babble(Config):
     Beyond the rate that the bus can carry it sends back to back: then nothing of a lower priority gets through.
     """
 
-    rate: FrameRate = Field(0.0, description="frames per second; 0: silent; beyond the bus's capacity: back to back")
-    identifier: Identifier = Field(0x001, description="the lower, the more it starves")
-    length: FrameLength = Field(8, description="bytes")
+    rate: FrameRate = Field(default=0.0, description="per second; 0: silent; more than the bus can carry: back to back")
+    identifier: Identifier = Field(default=0x001, description="the lower, the more it starves")
+    length: FrameLength = Field(default=8, description="bytes")
 
 
 class Background(Config):
     """Other nodes' traffic: frames of a range of identifiers, CAN FD with bit-rate switch, with random content."""
 
-    load: Share = Field(0.0, description="share of the bus's time that it asks for; 0: none")
+    load: Share = Field(default=0.0, description="share of the bus's time that it asks for; 0: none")
     pattern: Literal["periodic", "poisson"] = Field(
-        "periodic", description="evenly spaced, identifiers in turn; or at random times, identifiers at random"
+        default="periodic", description="evenly spaced, identifiers in turn; or at random times, identifiers at random"
     )
-    identifier: Identifier = Field(0x101, description="the first; below 0x181 they take precedence over drives' states")
-    identifiers: Annotated[int, BeforeValidator(_whole), Field(ge=1, le=128)] = Field(16, description="how many")
-    length: FrameLength = Field(8, description="bytes")
+    identifier: Identifier = Field(default=0x101, description="the first; below 0x181 they go before drives' states")
+    identifiers: Annotated[int, BeforeValidator(_whole), Field(ge=1, le=128)] = Field(
+        default=16, description="how many"
+    )
+    length: FrameLength = Field(default=8, description="bytes")
 
 
 class NodeFaults(Config):
     """What is wrong with one node of a bus."""
 
-    cut: bool = Field(False, description="its cable is cut: it neither sends, receives nor acknowledges")
-    stuck_dominant: bool = Field(False, description="its transceiver holds the bus dominant: nothing gets through")
-    bit_rate: Annotated[float, Field(ge=0.5, le=2)] = Field(1.0, description="its bit rates over the bus's")
+    cut: bool = Field(default=False, description="its cable is cut: it neither sends, receives nor acknowledges")
+    stuck_dominant: bool = Field(default=False, description="its transceiver holds the bus dominant; nothing passes")
+    bit_rate: Annotated[float, Field(ge=0.5, le=2)] = Field(default=1.0, description="its bit rates over the bus's")
     node_id: Annotated[int, BeforeValidator(_whole), Field(ge=0, le=127)] = Field(
-        0, description="it sends with the identifiers of this node, as if set up wrongly; 0: its own"
+        default=0, description="it sends with the identifiers of this node, as if set up wrongly; 0: its own"
     )
-    drift: PartsPerMillion = Field(0.0, description="its clock runs fast (slow when negative) against the others'")
+    drift: PartsPerMillion = Field(default=0.0, description="its clock is fast, or slow when negative")
 
 
 class BusConfig(Impairment):

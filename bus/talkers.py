@@ -80,7 +80,8 @@ class BackgroundTraffic(Talker):
     def __init__(self, wire: Wire, port: int, config: BusConfig, streams: Callable[[str], Any]) -> None:
         super().__init__(wire, port, config.background)
         self._rates = config.arbitration_rate, config.data_rate
-        self._streams = {kind: streams(f"bus.{wire.name}.background.{kind}") for kind in ("content", "gap", "identifier")}
+        name = f"bus.{wire.name}.background"
+        self._streams = {kind: streams(f"{name}.{kind}") for kind in ("content", "gap", "identifier")}
 
     def _send(self, now_ns: int) -> int:
         values, streams = self._values, self._streams

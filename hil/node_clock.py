@@ -19,7 +19,7 @@ class DriftingClock:
         self._own_period = period_ns
         self._phase = 0.0  # of the node's next tick after the world's next tick, ns
         self._ticks = ticks  # the node's own, so far
-        self._last_ns = 0.0  # time of the last of these
+        self._last_ns = (ticks - 1) * period_ns  # time of the last of these
 
     def set(self, ppm: float) -> None:
         """Change the drift; the phase that has built up stays."""

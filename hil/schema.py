@@ -62,6 +62,8 @@ def _expectation(error: Any, kind: Any, unit: str | None) -> str:
             return "expected 1 to 64 characters, none of / * $ ? #"
         case "float_type" | "float_parsing" | "finite_number":
             return "expected a finite number"
+        case "int_type" | "int_parsing" | "int_from_float":
+            return "expected a whole number"
         case "bool_type" | "bool_parsing":
             return "expected true or false"
     message = error["msg"].removeprefix("Value error, ")

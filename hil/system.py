@@ -12,7 +12,8 @@ from __future__ import annotations
 
 import contextlib
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from functools import partial
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
@@ -21,12 +22,16 @@ from bus import messages
 from bus.frames import Frame
 from bus.gateway import Gateway
 from bus.link import NEVER, Link
+from bus.talkers import Babbler, BackgroundTraffic, Talker
 from bus.wire import Wire
 from bus.zenoh_link import IMU_SOURCE
 from hil.clock import VirtualClock, WallClock, tick_ns
-from hil.errors import UserError
+from hil.injection import GATEWAY, Injector, Set
+from hil.journal import Journal, frame_entry
+from hil.node_faults import NodeSetter
 from hil.recorder import Recorder
-from hil.scenario import Scenario, parse_value
+from hil.scenario import Scenario
+from hil.senders import Offsets, Senders
 from hil.streams import StreamFactory
 from robots.description import Robot
 
@@ -34,17 +39,20 @@ if TYPE_CHECKING:  # a backend forks its children before the physics is imported
     from hil.verdict import Monitor
     from plant.world import World
 
-GATEWAY_PORT = 0  # joints follow, then the port of attached tools
+GATEWAY_PORT = 0  # joints follow, then the ports of attached tools, of a babbling idiot, of background traffic
+_OTHER_PORTS = 3
 _FLUSH_NS = 100_000_000
 _MONITOR_NS = 10_000_000
+_NO_OFFSETS: Offsets = {}
 
 Item = tuple[int, int, bytes]  # source or bus, CAN identifier, payload
 
 
 class JointHost(Protocol):
-    """Runs all joint nodes of a tick: ``start`` may return before they are done, ``finish`` waits."""
+    """Runs the joint nodes of a tick, all but those in ``idle``: ``start`` may return before they are done,
+    ``finish`` waits."""
 
-    def start(self, now_ns: int, inboxes: list[list[Frame]]) -> None: ...
+    def start(self, now_ns: int, inboxes: list[list[Frame]], idle: Sequence[int] = ()) -> None: ...
     def finish(self) -> list[list[Frame]]: ...
     def snapshot(self) -> list[Any]: ...
     def restore(self, states: list[Any]) -> None: ...
@@ -80,6 +88,7 @@ class System:
         streams: StreamFactory,
         clock: VirtualClock | WallClock,
         monitor: Monitor | None = None,
+        journal: Journal | None = None,
     ) -> None:
         self.scenario = scenario
         self.world, self.joints, self.controller = world, joints, controller
@@ -88,11 +97,13 @@ class System:
         self.stop_reason: str | None = None  # set by the monitor
         self.tap: Tap | None = None
         self.requests: deque[Callable[[], None]] = deque()  # run between two events: injections while running
-        self.injected: list[dict[str, Any]] = []
+        self.journal = journal if journal is not None else Journal(None)
+        self.tool_frames = 0
 
         self._joint_count = len(robot.joints)
         self.wires = [
-            Wire(bus.name, scenario.bus[bus.name], len(bus.joints) + 2, streams) for bus in robot.buses
+            Wire(bus.name, scenario.bus[bus.name], 1 + len(bus.joints) + _OTHER_PORTS, streams)
+            for bus in robot.buses
         ]
         self._tool_port = [len(bus.joints) + 1 for bus in robot.buses]
         order = {name: index for index, name in enumerate(robot.joint_names)}
@@ -112,6 +123,12 @@ class System:
         self._control_rate = int(scenario.controller.rate)
         self._control_phase_ns = round(scenario.controller.phase * 1e9)
         self._compute_ns = round(scenario.controller.compute_time * 1e9)
+        self.senders = Senders(self.wires, self._place, self._isr_rate)
+        self._talkers: dict[str, Talker] = {}
+        for bus, wire, tools in zip(robot.buses, self.wires, self._tool_port, strict=True):
+            config = scenario.bus[bus.name]
+            self._talkers[f"bus.{bus.name}.babble"] = Babbler(wire, tools + 1, config.babble)
+            self._talkers[f"bus.{bus.name}.background"] = BackgroundTraffic(wire, tools + 2, config, streams)
         self._isr = 0  # ticks done
         self._control = 0
         self._isr_ns = 0
@@ -122,10 +139,9 @@ class System:
         self._monitor_ns = _MONITOR_NS
         self._inboxes: list[list[Frame]] = [[] for _ in range(self._joint_count)]
         self._arrived: list[tuple[int, int, int, bytes]] = []
-        self._schedule = sorted(
-            ((round(i.at * 1e9), n, i.key, i.value) for n, i in enumerate(scenario.inject)), key=lambda i: i[:2]
-        )
-        self._scheduled = 0
+        self.injector = Injector(scenario, robot, self._setters(robot), self.journal)
+        self._others_ns = NEVER  # next event of talkers and of senders with clocks of their own
+        self._look_at_others()
 
         self._world_rows = recorder.channel("world")
         self._controller_rows = recorder.channel("controller")
@@ -149,6 +165,7 @@ class System:
                 self._isr_ns,
                 self._control_ns,
                 self._reply_ns,
+                self._others_ns,
                 self.state_link.next_time(),
                 self.command_link.next_time(),
                 *[wire.next_time() for wire in self.wires],
@@ -160,6 +177,8 @@ class System:
             self._step(now)
 
     def _step(self, now: int) -> None:
+        if now == self._others_ns:
+            self._advance_others(now)
         for b, wire in enumerate(self.wires):
             if wire.next_time() == now:
                 for delivery in wire.advance(now):
@@ -204,28 +223,50 @@ class System:
             self.state_link.send(now, (IMU_SOURCE, 0, world.imu()), 8 * 12)
         world.sample()
         world.latch()
-        self.joints.start(now, self._inboxes)
+        senders = self.senders
+        offsets = senders.offsets(now) if senders.clocks else _NO_OFFSETS
+        idle = [joint for joint, times in offsets.items() if not times] if offsets else ()
+        kept = {joint: self._inboxes[joint].copy() for joint in idle}
+        for joint in idle:
+            self._inboxes[joint].clear()
+        self.joints.start(now, self._inboxes, idle)
         for _ in range(self._steps_per_isr):
             world.step()
-        outboxes = self.joints.finish()
-        for joint, frames in enumerate(outboxes):
-            if frames:
-                bus, port = self._place[joint]
-                for frame in frames:
-                    self.wires[bus].offer(now, port, frame)
+        senders.offer(now, self.joints.finish(), offsets)
         for inbox in self._inboxes:
             inbox.clear()
+        for joint, frames in kept.items():
+            self._inboxes[joint].extend(frames)
+        if offsets:
+            self._tick_again(now, offsets)
         self._isr += 1
         self._isr_ns = tick_ns(self._isr, self._isr_rate)
 
+    def _tick_again(self, now: int, offsets: Offsets) -> None:
+        """Let the joints whose clocks run fast tick a second time where it falls within this tick."""
+        again = [joint for joint, times in offsets.items() if len(times) > 1]
+        if again:
+            idle = [joint for joint in range(self._joint_count) if joint not in again]
+            self.joints.start(now, [[] for _ in self._inboxes], idle)
+            self.senders.offer(now, self.joints.finish(), offsets, tick=1)
+        self._look_at_others()
+
+    def _advance_others(self, now: int) -> None:
+        for talker in self._talkers.values():
+            talker.advance(now)
+        self.senders.advance(now)
+        self._look_at_others()
+
+    def _look_at_others(self) -> None:
+        self._others_ns = min(self.senders.next_ns, *[talker.next_ns for talker in self._talkers.values()])
+
     def _start_control(self, now: int) -> None:
-        if self._scheduled < len(self._schedule) and self._schedule[self._scheduled][0] <= now:
-            self._apply_schedule(now)
+        self.injector.apply_due(now)
         while self.requests:  # filled by a thread of Zenoh's
             self.requests.popleft()()
         if self.tap is not None:
             for bus, frame in self.tap.poll():
-                self.wires[bus].offer(now, self._tool_port[bus], frame)
+                self._offer_of_tool(now, bus, frame)
         self.controller.start(now, self._arrived)
         self._arrived = []
         self._reply_ns = now + self._compute_ns
@@ -233,6 +274,12 @@ class System:
         self._control_ns = self._control_phase_ns + tick_ns(self._control, self._control_rate)
         self._drive_rows.append(now, self._drive_row)
         self._drive_row[2 * self._joint_count :] = np.nan
+
+    def _offer_of_tool(self, now: int, bus: int, frame: Frame) -> None:
+        wire, port = self.wires[bus], self._tool_port[bus]
+        self.tool_frames += 1
+        self.journal.write(frame_entry(now, wire.name, port, frame))
+        wire.offer(now, port, frame)
 
     def _finish_control(self, now: int) -> None:
         commands, telemetry = self._reply if self._reply is not None else self.controller.finish()
@@ -246,6 +293,8 @@ class System:
         if now >= self._flush_ns:
             self._flush_ns += _FLUSH_NS
             self.recorder.flush(now)
+            if self.journal.is_open:
+                self.journal.write({"time_ns": now, "digest": self.recorder.digest()})
 
     # --- observing ----------------------------------------------------------------------------------------------
 
@@ -265,6 +314,11 @@ class System:
         controlword, echoed = data[4 + 20 * slot], data[22 + 20 * slot] | data[23 + 20 * slot] << 8
         if controlword != messages.Controlword.ENABLE_OPERATION:
             return  # not yet computed from a sample
+        if joint in self.senders.clocks:
+            own = self.senders.clocks[joint].sampled_ns(echoed, self._isr_per_report)
+            if own is not None:
+                self._drive_row[2 * self._joint_count + joint] = (now - own) * 1e-9
+            return
         latest = (self._isr - 1) // self._isr_per_report
         sample = latest - ((latest - echoed) & 0xFFFF)
         if sample >= 0:
@@ -297,34 +351,48 @@ class System:
 
     # --- injecting ----------------------------------------------------------------------------------------------
 
-    def inject(self, key: str, value: str | float) -> float:
-        """Change one impairment from now on. Returns its value in SI units; raises UserError for a wrong one."""
-        parsed = parse_value(key, value)
-        target, _, quantity = key.rpartition(".")
-        self._impaired(target).set(quantity, parsed)
-        self.injected.append({"time_s": self.now_ns * 1e-9, "key": key, "value": str(value)})
-        return parsed
+    @property
+    def injected(self) -> list[dict[str, Any]]:
+        """Every change so far, with its time."""
+        return self.injector.injected
 
-    def _impaired(self, target: str) -> Any:
-        if target == "link.state":
-            return self.state_link
-        if target == "link.command":
-            return self.command_link
-        for wire in self.wires:
-            if target == f"bus.{wire.name}":
-                return wire
-        raise UserError(f"nothing to inject at {target!r}")
+    @property
+    def reproducible_from(self) -> str:
+        """What repeats this run to the bit: "scenario" (and seed), or "record" when something came from outside."""
+        return "record" if self.tool_frames or self.injector.from_outside else "scenario"
 
-    def _apply_schedule(self, now: int) -> None:
-        while self._scheduled < len(self._schedule) and self._schedule[self._scheduled][0] <= now:
-            _, _, key, value = self._schedule[self._scheduled]
-            self._scheduled += 1
-            self.inject(key, value)
+    def inject(self, key: str, value: Any) -> Any:
+        """Change one injectable value from now on, at a request from outside. Returns it in SI units; raises UserError
+        for a wrong one."""
+        return self.injector.inject(self.now_ns, key, value)
+
+    def _setters(self, robot: Robot) -> dict[str, Set]:
+        """Who takes the injectable keys under which path."""
+        setters: dict[str, Set] = {
+            "link.state": lambda key, value, now: self.state_link.set(key, value),
+            "link.command": lambda key, value, now: self.command_link.set(key, value),
+        }
+        for bus, wire in zip(robot.buses, self.wires, strict=True):
+            setters[f"bus.{bus.name}"] = partial(self._set_wire, wire)
+            for port, name in enumerate((GATEWAY, *bus.joints)):
+                joint = robot.joint_names.index(name) if port else None
+                setters[f"bus.{bus.name}.node.{name}"] = NodeSetter(wire, port, joint, self.senders, lambda: self._isr)
+        for path, talker in self._talkers.items():
+            setters[path] = partial(self._set_talker, talker)
+        return setters
+
+    @staticmethod
+    def _set_wire(wire: Wire, key: str, value: Any, now: int) -> None:
+        wire.set(key, value)
+
+    def _set_talker(self, talker: Talker, key: str, value: Any, now: int) -> None:
+        talker.set(key, value, now)
+        self._look_at_others()
 
     # --- state --------------------------------------------------------------------------------------------------
 
     _PLAIN = (
-        "now_ns", "_isr", "_control", "_isr_ns", "_control_ns", "_reply_ns", "_flush_ns", "_monitor_ns", "_scheduled",
+        "now_ns", "_isr", "_control", "_isr_ns", "_control_ns", "_reply_ns", "_flush_ns", "_monitor_ns", "tool_frames",
     )  # fmt: skip
 
     def snapshot(self) -> dict[str, Any]:
@@ -345,6 +413,9 @@ class System:
             "wires": [wire.snapshot() for wire in self.wires],
             "links": [self.state_link.snapshot(), self.command_link.snapshot()],
             "gateway": self.gateway.snapshot(),
+            "senders": self.senders.snapshot(),
+            "talkers": {path: talker.snapshot() for path, talker in self._talkers.items()},
+            "injector": self.injector.snapshot(),
         }
 
     def restore(self, state: dict[str, Any]) -> None:
@@ -365,5 +436,10 @@ class System:
         self.state_link.restore(state["links"][0])
         self.command_link.restore(state["links"][1])
         self.gateway.restore(state["gateway"])
+        self.senders.restore(state["senders"])
+        for path, talker in self._talkers.items():
+            talker.restore(state["talkers"][path])
+        self.injector.restore(state["injector"])
+        self._look_at_others()
 
 

@@ -25,8 +25,10 @@ class InlineJoints:
             node.attach(inputs, outputs)
         self._sent: list[list[Frame]] = []
 
-    def start(self, now_ns: int, inboxes: list[list[Frame]]) -> None:
-        self._sent = [node.tick(now_ns, inbox) for node, inbox in zip(self._nodes, inboxes, strict=True)]
+    def start(self, now_ns: int, inboxes: list[list[Frame]], idle: Sequence[int] = ()) -> None:
+        self._sent = [
+            node.tick(now_ns, inboxes[joint]) if joint not in idle else [] for joint, node in enumerate(self._nodes)
+        ]
 
     def finish(self) -> list[list[Frame]]:
         return self._sent

@@ -1,12 +1,12 @@
 """Impairments against their distributions; no fault disturbs the draws of another."""
 
+import itertools
 import math
 from typing import Any
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-
 from scipy import stats
 
 from bus.config import Impairment
@@ -210,7 +210,7 @@ def test_reordered_deliveries_come_right_behind_the_next() -> None:
     arrived, line = arrivals(n, reorder=0.25)
     order = [k for _, (k, _) in arrived]
     assert sorted(order) == list(range(n))
-    late = [k for k, after in zip(order, order[1:], strict=False) if k > after]
+    late = [k for k, after in itertools.pairwise(order) if k > after]
     assert len(late) == line.reordered > n / 6
     position = {k: at for at, k in enumerate(order)}
     assert all(abs(position[k] - k) <= 1 for k in range(n - 1))
