@@ -171,9 +171,6 @@ class Line:
     def send(self, now_ns: int, item: Any) -> bool:
         """Put ``item`` on its way. False when it is lost."""
         impairment = self._impairment
-        if impairment.clean:
-            self._push(now_ns, item)
-            return True
         if impairment.lost():
             return False
         copies = 1
@@ -186,13 +183,14 @@ class Line:
                 self.corrupted += 1
             arrival = now_ns + impairment.extra_ns()
             if not self._held and impairment.held_back():
-                self._push(arrival + HELD_NS, arriving)
+                self.put(arrival + HELD_NS, arriving)
                 self._held = self._sequence
             else:
-                self._push(arrival, arriving)
+                self.put(arrival, arriving)
         return True
 
-    def _push(self, arrival: int, item: Any) -> None:
+    def put(self, arrival: int, item: Any) -> None:
+        """Let ``item`` arrive at ``arrival`` ns, as it is."""
         self._sequence += 1
         heapq.heappush(self._heap, (arrival, self._sequence, item))
         if self._held:  # it has waited for this one
@@ -203,7 +201,7 @@ class Line:
                 self._heap.remove(held)
                 heapq.heapify(self._heap)
                 self._sequence += 1
-                heapq.heappush(self._heap, (arrival, self._sequence, held[2]))
+                heapq.heappush(self._heap, (max(arrival, held[0] - HELD_NS), self._sequence, held[2]))
         self.next_ns = self._heap[0][0]
 
     def pop_due(self, now_ns: int) -> list[tuple[int, Any]]:

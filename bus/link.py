@@ -33,7 +33,9 @@ class Link:
     def send(self, now_ns: int, item: LinkItem, bits: int) -> None:
         """Put ``item``, ``bits`` long, on its way."""
         self.sent += 1
-        if self._impairment.damaged_at(bits) is not None or not self._line.send(now_ns, item):
+        if self._impairment.clean:
+            self._line.put(now_ns, item)
+        elif self._impairment.damaged_at(bits) is not None or not self._line.send(now_ns, item):
             self.lost += 1
 
     def next_time(self) -> int:

@@ -65,7 +65,7 @@ class Babbler(Talker):
 
     def _send(self, now_ns: int) -> int:
         values = self._values
-        if self._wire.queued(self._port) < _STANDING:
+        if self._wire.waiting(self._port) < _STANDING:
             self._wire.offer(now_ns, self._port, Frame(values["identifier"], bytes(values["length"])))
             self.sent += 1
         return round(_SECOND / values["rate"])

@@ -106,6 +106,10 @@ class Wire:
                 self._next = start
         return True
 
+    def waiting(self, port: int) -> int:
+        """How many frames of ``port`` wait in its transmit queue."""
+        return self._queued[port]
+
     def next_time(self) -> int:
         """Time of the next event, ns; NEVER when the bus is idle and nothing is under way."""
         return self._next
@@ -187,10 +191,6 @@ class Wire:
         if self._line.next_ns < upcoming:
             upcoming = self._line.next_ns
         self._next = upcoming
-
-    def queued(self, port: int) -> int:
-        """How many frames wait in the transmit queue of ``port``, the one on the wire included."""
-        return self._queued[port]
 
     @property
     def counts(self) -> dict[str, int]:

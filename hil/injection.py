@@ -8,7 +8,7 @@ what values are checked against, and what the documentation of a key is.
 from __future__ import annotations
 
 import typing
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -45,19 +45,28 @@ class Injectable:
 
 def injectable(robot: Robot) -> dict[str, Injectable]:
     """All that can be injected into a run of ``robot``, by key."""
-    return {entry.key: entry for entry in _all(robot)}
-
-
-def _all(robot: Robot) -> Iterator[Injectable]:
+    entries: dict[str, Injectable] = {}
     for link in ("link.state", "link.command"):
-        yield from _fields(Impairment, link)
+        entries |= _by_key(_fields(Impairment, link))
     for bus in robot.buses:
-        yield from _fields(Impairment, f"bus.{bus.name}")
-        yield from _fields(Babble, f"bus.{bus.name}.babble")
-        yield from _fields(Background, f"bus.{bus.name}.background")
-        yield from _fields(NodeFaults, f"bus.{bus.name}.node.{GATEWAY}", without=_OF_JOINTS)
-        for joint in bus.joints:
-            yield from _fields(NodeFaults, f"bus.{bus.name}.node.{joint}")
+        entries |= of_bus(bus.name, (GATEWAY,), bus.joints)
+    return entries
+
+
+def of_bus(name: str, nodes: Sequence[str] = (), joints: Sequence[str] = ()) -> dict[str, Injectable]:
+    """All that can be injected into one bus with these nodes, some of which are joints."""
+    path = f"bus.{name}"
+    entries = _by_key(_fields(Impairment, path))
+    entries |= _by_key(_fields(Babble, f"{path}.babble")) | _by_key(_fields(Background, f"{path}.background"))
+    for node in nodes:
+        entries |= _by_key(_fields(NodeFaults, f"{path}.node.{node}", without=_OF_JOINTS))
+    for joint in joints:
+        entries |= _by_key(_fields(NodeFaults, f"{path}.node.{joint}"))
+    return entries
+
+
+def _by_key(entries: Iterable[Injectable]) -> dict[str, Injectable]:
+    return {entry.key: entry for entry in entries}
 
 
 def _fields(model: type[BaseModel], path: str, without: tuple[str, ...] = ()) -> Iterator[Injectable]:

@@ -21,8 +21,10 @@ class Replay:
         self._buses = [wire.name for wire in system.wires]
         self._entries = deque(e for e in entries if e.get("by") == "query" or "frame" in e)
 
-    def broadcast(self, bus: int, time_ns: int, sender: int, frame: Frame) -> None:
+    def broadcast(self, *_: Any) -> None:
         """Nobody listens."""
+
+    broadcast_error = set_state = refused = broadcast
 
     def poll(self) -> list[tuple[int, Frame]]:
         """Make the injections that are due; return the frames that are."""

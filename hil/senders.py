@@ -14,6 +14,7 @@ from hil.node_clock import DriftingClock
 _NODE_ID = 0x7F  # bits of an identifier that name the node (CiA 301, pre-defined connection set)
 # by joint with a clock of its own: when it ticks within one tick of the world, ns after that
 Offsets = Mapping[int, list[int]]
+_NONE: Offsets = {}
 
 
 class Senders:
@@ -50,14 +51,16 @@ class Senders:
         """When the joints that have clocks of their own tick within the world's tick at ``now_ns``."""
         return {joint: clock.offsets(now_ns) for joint, clock in self.clocks.items()}
 
-    def offer(self, now_ns: int, outboxes: Sequence[Sequence[Frame]], offsets: Offsets, tick: int = 0) -> None:
+    def offer(
+        self, now_ns: int, outboxes: Sequence[Sequence[Frame]], offsets: Offsets = _NONE, tick: int = 0
+    ) -> None:
         """What the joints have sent in their first (0) or second (1) tick within one of the world."""
+        node_ids = self._node_ids
         for joint, frames in enumerate(outboxes):
             if frames:
                 bus, port = self._places[joint]
-                if joint in self._node_ids:
-                    node_id = self._node_ids[joint]
-                    frames = [frame._replace(id=frame.id & ~_NODE_ID | node_id) for frame in frames]
+                if node_ids and joint in node_ids:
+                    frames = [frame._replace(id=frame.id & ~_NODE_ID | node_ids[joint]) for frame in frames]
                 if joint in offsets:
                     self._keep(now_ns + offsets[joint][tick], joint, frames)
                     continue

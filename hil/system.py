@@ -31,7 +31,7 @@ from hil.journal import Journal, frame_entry
 from hil.node_faults import NodeSetter
 from hil.recorder import Recorder
 from hil.scenario import Scenario
-from hil.senders import Offsets, Senders
+from hil.senders import Senders
 from hil.streams import StreamFactory
 from robots.description import Robot
 
@@ -39,11 +39,10 @@ if TYPE_CHECKING:  # a backend forks its children before the physics is imported
     from hil.verdict import Monitor
     from plant.world import World
 
-GATEWAY_PORT = 0  # joints follow, then the ports of attached tools, of a babbling idiot, of background traffic
+GATEWAY_PORT = 0  # joints follow, then the ports of a babbling idiot, of background traffic, of attached tools
 _OTHER_PORTS = 3
 _FLUSH_NS = 100_000_000
 _MONITOR_NS = 10_000_000
-_NO_OFFSETS: Offsets = {}
 
 Item = tuple[int, int, bytes]  # source or bus, CAN identifier, payload
 
@@ -105,7 +104,7 @@ class System:
             Wire(bus.name, scenario.bus[bus.name], 1 + len(bus.joints) + _OTHER_PORTS, streams)
             for bus in robot.buses
         ]
-        self._tool_port = [len(bus.joints) + 1 for bus in robot.buses]
+        self._tool_port = [wire.ports - 1 for wire in self.wires]
         order = {name: index for index, name in enumerate(robot.joint_names)}
         self._joints_of = [[order[name] for name in bus.joints] for bus in robot.buses]
         self._place = {
@@ -125,10 +124,10 @@ class System:
         self._compute_ns = round(scenario.controller.compute_time * 1e9)
         self.senders = Senders(self.wires, self._place, self._isr_rate)
         self._talkers: dict[str, Talker] = {}
-        for bus, wire, tools in zip(robot.buses, self.wires, self._tool_port, strict=True):
-            config = scenario.bus[bus.name]
-            self._talkers[f"bus.{bus.name}.babble"] = Babbler(wire, tools + 1, config.babble)
-            self._talkers[f"bus.{bus.name}.background"] = BackgroundTraffic(wire, tools + 2, config, streams)
+        for wire, tools in zip(self.wires, self._tool_port, strict=True):
+            config = scenario.bus[wire.name]
+            self._talkers[f"bus.{wire.name}.babble"] = Babbler(wire, tools - 2, config.babble)
+            self._talkers[f"bus.{wire.name}.background"] = BackgroundTraffic(wire, tools - 1, config, streams)
         self._isr = 0  # ticks done
         self._control = 0
         self._isr_ns = 0
@@ -223,32 +222,34 @@ class System:
             self.state_link.send(now, (IMU_SOURCE, 0, world.imu()), 8 * 12)
         world.sample()
         world.latch()
-        senders = self.senders
-        offsets = senders.offsets(now) if senders.clocks else _NO_OFFSETS
-        idle = [joint for joint, times in offsets.items() if not times] if offsets else ()
-        kept = {joint: self._inboxes[joint].copy() for joint in idle}
-        for joint in idle:
-            self._inboxes[joint].clear()
-        self.joints.start(now, self._inboxes, idle)
-        for _ in range(self._steps_per_isr):
-            world.step()
-        senders.offer(now, self.joints.finish(), offsets)
-        for inbox in self._inboxes:
-            inbox.clear()
-        for joint, frames in kept.items():
-            self._inboxes[joint].extend(frames)
-        if offsets:
-            self._tick_again(now, offsets)
+        if self.senders.clocks:
+            self._tick_on_own_clocks(now)
+        else:
+            self.joints.start(now, self._inboxes)
+            for _ in range(self._steps_per_isr):
+                world.step()
+            self.senders.offer(now, self.joints.finish())
+            for inbox in self._inboxes:
+                inbox.clear()
         self._isr += 1
         self._isr_ns = tick_ns(self._isr, self._isr_rate)
 
-    def _tick_again(self, now: int, offsets: Offsets) -> None:
-        """Let the joints whose clocks run fast tick a second time where it falls within this tick."""
+    def _tick_on_own_clocks(self, now: int) -> None:
+        """The same where clocks drift: a joint may tick once, twice or not at all within this tick of the world."""
+        senders, inboxes = self.senders, self._inboxes
+        offsets = senders.offsets(now)
+        idle = [joint for joint, times in offsets.items() if not times]
+        self.joints.start(now, [[] if j in idle else inbox for j, inbox in enumerate(inboxes)], idle)
+        for _ in range(self._steps_per_isr):
+            self.world.step()
+        senders.offer(now, self.joints.finish(), offsets)
+        for joint, inbox in enumerate(inboxes):
+            if joint not in idle:
+                inbox.clear()
         again = [joint for joint, times in offsets.items() if len(times) > 1]
         if again:
-            idle = [joint for joint in range(self._joint_count) if joint not in again]
-            self.joints.start(now, [[] for _ in self._inboxes], idle)
-            self.senders.offer(now, self.joints.finish(), offsets, tick=1)
+            self.joints.start(now, [[] for _ in inboxes], [j for j in range(self._joint_count) if j not in again])
+            senders.offer(now, self.joints.finish(), offsets, tick=1)
         self._look_at_others()
 
     def _advance_others(self, now: int) -> None:

@@ -27,7 +27,8 @@ class InlineJoints:
 
     def start(self, now_ns: int, inboxes: list[list[Frame]], idle: Sequence[int] = ()) -> None:
         self._sent = [
-            node.tick(now_ns, inboxes[joint]) if joint not in idle else [] for joint, node in enumerate(self._nodes)
+            [] if idle and joint in idle else node.tick(now_ns, inbox)
+            for joint, (node, inbox) in enumerate(zip(self._nodes, inboxes, strict=True))
         ]
 
     def finish(self) -> list[list[Frame]]:
