@@ -236,6 +236,8 @@ def _print_outcome(record: dict[str, Any]) -> None:
         if not wall["kept_up"]:
             print("            this machine does NOT keep up at these rates: lower firmware.rate and controller.rate")
     print(f"digest      {record['log_digest']}")
+    if record["reproducible_from"] == "record":
+        print("            no longer from the scenario alone, something came in from outside: `hil replay` repeats it")
     if record["out"] is not None:
         report = Path(record["out"]) / "report.html"
         print(f"report      {report if report.exists() else record['out']}")

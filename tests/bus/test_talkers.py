@@ -121,7 +121,8 @@ def test_what_is_injected_takes_effect_from_then_on() -> None:
 
 
 def test_restored_talkers_continue_identically() -> None:
-    values: dict[str, Any] = {"babble": {"rate": "3kHz"}, "background": {"load": 0.4, "pattern": "poisson", "length": 24}}
+    background = {"load": 0.4, "pattern": "poisson", "length": 24}
+    values: dict[str, Any] = {"babble": {"rate": "3kHz"}, "background": background}
     wire, *talkers = bus(1, **values)
     run(wire, talkers, 20 * MS)
     saved = pickle.loads(pickle.dumps((wire.snapshot(), [t.snapshot() for t in talkers])))
