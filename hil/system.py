@@ -13,7 +13,6 @@ from __future__ import annotations
 import contextlib
 from collections import deque
 from collections.abc import Callable, Sequence
-from functools import partial
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
@@ -22,16 +21,14 @@ from bus import messages
 from bus.frames import Frame
 from bus.gateway import Gateway
 from bus.link import NEVER, Link
-from bus.talkers import Babbler, BackgroundTraffic, Talker
 from bus.wire import Wire
 from bus.zenoh_link import IMU_SOURCE
 from hil.clock import VirtualClock, WallClock, tick_ns
-from hil.injection import GATEWAY, Injector, Set
+from hil.faults import Faults
+from hil.injection import Injector
 from hil.journal import Journal, frame_entry
-from hil.node_faults import NodeSetter
 from hil.recorder import Recorder
 from hil.scenario import Scenario
-from hil.senders import Senders
 from hil.streams import StreamFactory
 from robots.description import Robot
 
@@ -39,8 +36,7 @@ if TYPE_CHECKING:  # a backend forks its children before the physics is imported
     from hil.verdict import Monitor
     from plant.world import World
 
-GATEWAY_PORT = 0  # joints follow, then the ports of a babbling idiot, of background traffic, of attached tools
-_OTHER_PORTS = 3
+GATEWAY_PORT = 0  # joints follow, then who only disturbs, and last the port of attached tools
 _FLUSH_NS = 100_000_000
 _MONITOR_NS = 10_000_000
 
@@ -101,7 +97,7 @@ class System:
 
         self._joint_count = len(robot.joints)
         self.wires = [
-            Wire(bus.name, scenario.bus[bus.name], 1 + len(bus.joints) + _OTHER_PORTS, streams)
+            Wire(bus.name, scenario.bus[bus.name], len(bus.joints) + 2 + Faults.PORTS, streams)
             for bus in robot.buses
         ]
         self._tool_port = [wire.ports - 1 for wire in self.wires]
@@ -122,12 +118,6 @@ class System:
         self._control_rate = int(scenario.controller.rate)
         self._control_phase_ns = round(scenario.controller.phase * 1e9)
         self._compute_ns = round(scenario.controller.compute_time * 1e9)
-        self.senders = Senders(self.wires, self._place, self._isr_rate)
-        self._talkers: dict[str, Talker] = {}
-        for wire, tools in zip(self.wires, self._tool_port, strict=True):
-            config = scenario.bus[wire.name]
-            self._talkers[f"bus.{wire.name}.babble"] = Babbler(wire, tools - 2, config.babble)
-            self._talkers[f"bus.{wire.name}.background"] = BackgroundTraffic(wire, tools - 1, config, streams)
         self._isr = 0  # ticks done
         self._control = 0
         self._isr_ns = 0
@@ -138,9 +128,10 @@ class System:
         self._monitor_ns = _MONITOR_NS
         self._inboxes: list[list[Frame]] = [[] for _ in range(self._joint_count)]
         self._arrived: list[tuple[int, int, int, bytes]] = []
-        self.injector = Injector(scenario, robot, self._setters(robot), self.journal)
-        self._others_ns = NEVER  # next event of talkers and of senders with clocks of their own
-        self._look_at_others()
+        self.faults = Faults(scenario, robot, self.wires, self._place, streams, lambda: self._isr)
+        self._senders = self.faults.senders
+        links = {"link.state": self.state_link, "link.command": self.command_link}
+        self.injector = Injector(scenario, robot, self.faults.setters(links), self.journal)
 
         self._world_rows = recorder.channel("world")
         self._controller_rows = recorder.channel("controller")
@@ -164,7 +155,7 @@ class System:
                 self._isr_ns,
                 self._control_ns,
                 self._reply_ns,
-                self._others_ns,
+                self.faults.next_ns,
                 self.state_link.next_time(),
                 self.command_link.next_time(),
                 *[wire.next_time() for wire in self.wires],
@@ -176,8 +167,8 @@ class System:
             self._step(now)
 
     def _step(self, now: int) -> None:
-        if now == self._others_ns:
-            self._advance_others(now)
+        if now == self.faults.next_ns:
+            self.faults.advance(now)
         for b, wire in enumerate(self.wires):
             if wire.next_time() == now:
                 for delivery in wire.advance(now):
@@ -222,13 +213,13 @@ class System:
             self.state_link.send(now, (IMU_SOURCE, 0, world.imu()), 8 * 12)
         world.sample()
         world.latch()
-        if self.senders.clocks:
+        if self._senders.clocks:
             self._tick_on_own_clocks(now)
         else:
             self.joints.start(now, self._inboxes)
             for _ in range(self._steps_per_isr):
                 world.step()
-            self.senders.offer(now, self.joints.finish())
+            self._senders.offer(now, self.joints.finish())
             for inbox in self._inboxes:
                 inbox.clear()
         self._isr += 1
@@ -236,7 +227,7 @@ class System:
 
     def _tick_on_own_clocks(self, now: int) -> None:
         """The same where clocks drift: a joint may tick once, twice or not at all within this tick of the world."""
-        senders, inboxes = self.senders, self._inboxes
+        senders, inboxes = self._senders, self._inboxes
         offsets = senders.offsets(now)
         idle = [joint for joint, times in offsets.items() if not times]
         self.joints.start(now, [[] if j in idle else inbox for j, inbox in enumerate(inboxes)], idle)
@@ -250,16 +241,7 @@ class System:
         if again:
             self.joints.start(now, [[] for _ in inboxes], [j for j in range(self._joint_count) if j not in again])
             senders.offer(now, self.joints.finish(), offsets, tick=1)
-        self._look_at_others()
-
-    def _advance_others(self, now: int) -> None:
-        for talker in self._talkers.values():
-            talker.advance(now)
-        self.senders.advance(now)
-        self._look_at_others()
-
-    def _look_at_others(self) -> None:
-        self._others_ns = min(self.senders.next_ns, *[talker.next_ns for talker in self._talkers.values()])
+        self.faults.look()
 
     def _start_control(self, now: int) -> None:
         self.injector.apply_due(now)
@@ -315,8 +297,8 @@ class System:
         controlword, echoed = data[4 + 20 * slot], data[22 + 20 * slot] | data[23 + 20 * slot] << 8
         if controlword != messages.Controlword.ENABLE_OPERATION:
             return  # not yet computed from a sample
-        if joint in self.senders.clocks:
-            own = self.senders.clocks[joint].sampled_ns(echoed, self._isr_per_report)
+        if joint in self._senders.clocks:
+            own = self._senders.clocks[joint].sampled_ns(echoed, self._isr_per_report)
             if own is not None:
                 self._drive_row[2 * self._joint_count + joint] = (now - own) * 1e-9
             return
@@ -367,29 +349,6 @@ class System:
         for a wrong one."""
         return self.injector.inject(self.now_ns, key, value)
 
-    def _setters(self, robot: Robot) -> dict[str, Set]:
-        """Who takes the injectable keys under which path."""
-        setters: dict[str, Set] = {
-            "link.state": lambda key, value, now: self.state_link.set(key, value),
-            "link.command": lambda key, value, now: self.command_link.set(key, value),
-        }
-        for bus, wire in zip(robot.buses, self.wires, strict=True):
-            setters[f"bus.{bus.name}"] = partial(self._set_wire, wire)
-            for port, name in enumerate((GATEWAY, *bus.joints)):
-                joint = robot.joint_names.index(name) if port else None
-                setters[f"bus.{bus.name}.node.{name}"] = NodeSetter(wire, port, joint, self.senders, lambda: self._isr)
-        for path, talker in self._talkers.items():
-            setters[path] = partial(self._set_talker, talker)
-        return setters
-
-    @staticmethod
-    def _set_wire(wire: Wire, key: str, value: Any, now: int) -> None:
-        wire.set(key, value)
-
-    def _set_talker(self, talker: Talker, key: str, value: Any, now: int) -> None:
-        talker.set(key, value, now)
-        self._look_at_others()
-
     # --- state --------------------------------------------------------------------------------------------------
 
     _PLAIN = (
@@ -414,8 +373,7 @@ class System:
             "wires": [wire.snapshot() for wire in self.wires],
             "links": [self.state_link.snapshot(), self.command_link.snapshot()],
             "gateway": self.gateway.snapshot(),
-            "senders": self.senders.snapshot(),
-            "talkers": {path: talker.snapshot() for path, talker in self._talkers.items()},
+            "faults": self.faults.snapshot(),
             "injector": self.injector.snapshot(),
         }
 
@@ -437,10 +395,7 @@ class System:
         self.state_link.restore(state["links"][0])
         self.command_link.restore(state["links"][1])
         self.gateway.restore(state["gateway"])
-        self.senders.restore(state["senders"])
-        for path, talker in self._talkers.items():
-            talker.restore(state["talkers"][path])
+        self.faults.restore(state["faults"])
         self.injector.restore(state["injector"])
-        self._look_at_others()
 
 
