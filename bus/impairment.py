@@ -17,6 +17,11 @@ _STREAMS = (
 )  # fmt: skip
 
 
+class Corrupted(bytes):
+    """Data with a bit flipped unnoticed. Nodes do not see the difference; who keeps the score of a run does not take
+    it for what was sent."""
+
+
 def _values(config: Impairment) -> dict[str, Any]:
     """Values by key; those of a table under "table.key"."""
     values: dict[str, Any] = {}
@@ -122,11 +127,11 @@ class ImpairmentModel:
         return self._reorder > 0 and self._streams["reorder"].uniform() < self._reorder
 
     def corrupted(self, data: bytes) -> bytes:
-        """``data`` itself, or with one flipped bit."""
+        """``data`` itself, or with one flipped bit: then of the type Corrupted."""
         if not self.corrupts or self._streams["corruption"].uniform() >= self._corruption or not data:
             return data
         byte, bit = divmod(int(self._streams["corrupted_bit"].uniform() * 8 * len(data)), 8)
-        return data[:byte] + bytes([data[byte] ^ 1 << bit]) + data[byte + 1 :]
+        return Corrupted(data[:byte] + bytes([data[byte] ^ 1 << bit]) + data[byte + 1 :])
 
     def snapshot(self) -> dict[str, Any]:
         return {

@@ -23,12 +23,13 @@ _STANDING = 2  # frames that a babbler has in its queue at most: one on the wire
 
 
 class Talker:
-    """Base: sends while its switch, a rate or a share, is above zero."""
+    """Base: sends while its switch, a rate or a share, is above zero. ``fd``: CAN FD frames with bit-rate switch;
+    otherwise classical ones, of at most 8 bytes."""
 
     switch: str  # the key that turns it on
 
-    def __init__(self, wire: Wire, port: int, config: Babble | Background) -> None:
-        self._wire, self._port = wire, port
+    def __init__(self, wire: Wire, port: int, config: Babble | Background, fd: bool = True) -> None:
+        self._wire, self._port, self._fd = wire, port, fd
         self._values: dict[str, Any] = dict(config)
         self.next_ns = 0 if self._values[self.switch] else NEVER
         self.sent = 0  # frames offered to the wire
@@ -50,6 +51,12 @@ class Talker:
         """Offer one frame; returns the time until the next one, ns."""
         raise NotImplementedError
 
+    def _offer(self, now_ns: int, identifier: int, content: bytes) -> Frame:
+        frame = Frame(identifier, content if self._fd else content[:8], self._fd, self._fd)
+        self._wire.offer(now_ns, self._port, frame)
+        self.sent += 1
+        return frame
+
     def snapshot(self) -> dict[str, Any]:
         return {"values": dict(self._values), "next_ns": self.next_ns, "sent": self.sent}
 
@@ -66,8 +73,7 @@ class Babbler(Talker):
     def _send(self, now_ns: int) -> int:
         values = self._values
         if self._wire.waiting(self._port) < _STANDING:
-            self._wire.offer(now_ns, self._port, Frame(values["identifier"], bytes(values["length"])))
-            self.sent += 1
+            self._offer(now_ns, values["identifier"], bytes(values["length"]))
         return round(_SECOND / values["rate"])
 
 
@@ -77,8 +83,10 @@ class BackgroundTraffic(Talker):
 
     switch = "load"
 
-    def __init__(self, wire: Wire, port: int, config: BusConfig, streams: Callable[[str], Any]) -> None:
-        super().__init__(wire, port, config.background)
+    def __init__(
+        self, wire: Wire, port: int, config: BusConfig, streams: Callable[[str], Any], fd: bool = True
+    ) -> None:
+        super().__init__(wire, port, config.background, fd)
         self._rates = config.arbitration_rate, config.data_rate
         name = f"bus.{wire.name}.background"
         self._streams = {kind: streams(f"{name}.{kind}") for kind in ("content", "gap", "identifier")}
@@ -92,9 +100,7 @@ class BackgroundTraffic(Talker):
             index = self.sent % values["identifiers"]
         draw = streams["content"].uniform
         content = b"".join(int(draw() * 2**32).to_bytes(4, "little") for _ in range(-(-values["length"] // 4)))
-        frame = Frame(min(values["identifier"] + index, 0x7FF), content[: values["length"]])
-        self._wire.offer(now_ns, self._port, frame)
-        self.sent += 1
+        frame = self._offer(now_ns, min(values["identifier"] + index, 0x7FF), content[: values["length"]])
         gap = frame_ns(frame, *self._rates) / values["load"]
         return round(-math.log1p(-streams["gap"].uniform()) * gap if poisson else gap)
 

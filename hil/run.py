@@ -226,6 +226,7 @@ def _conclude(
         "start_up_time": start_up,
         "memory_bytes": {**memory, "sum": sum(memory.values())},
         "wall_clock": system.clock.report(),
+        "deliveries": system.deliveries(),
         "injected": system.injected,
         "tool_frames": system.tool_frames,
         "reproducible_from": system.reproducible_from,

@@ -193,17 +193,18 @@ class System:
         self.recorder.frame(now, b, frame)
         if self.tap is not None:
             self.tap.broadcast(b, now, sender, frame)
+        sound = type(frame.data) is bytes  # what a corrupted frame says is no fact about the run
         if frame.id == messages.COMMAND:  # the acceptance filter of the drives' CAN controllers
             for slot, joint in enumerate(self._joints_of[b]):
                 if sender != slot + 1:
                     self._inboxes[joint].append(frame)
-                if sender == GATEWAY_PORT:
+                if sender == GATEWAY_PORT and sound:
                     self._note_round_trip(now, joint, slot, frame.data)
         if sender != GATEWAY_PORT:
             item = self.gateway.from_can(now, b, frame)
             if item is not None:
                 self.state_link.send(now, item, 8 * len(frame.data))
-                if frame.id & 0x780 == messages.STATE:
+                if frame.id & 0x780 == messages.STATE and sound:
                     self._note_state(b, sender, frame.data)
 
     def _tick_joints(self, now: int) -> None:
@@ -323,6 +324,13 @@ class System:
         self._com_error = float(np.hypot(x - x_reference, z - z_reference))
         if self.monitor is not None:
             self.stop_reason = self.monitor.check(now, self.world.truth(), telemetry, self._drive_row)
+
+    def deliveries(self) -> dict[str, dict[str, int]]:
+        """What has happened so far to what buses and links carried, by their paths."""
+        links = {"link.state": self.state_link, "link.command": self.command_link}
+        return {path: link.counts for path, link in links.items()} | {
+            f"bus.{wire.name}": wire.counts for wire in self.wires
+        }
 
     def com_error(self) -> float:
         """Distance of the estimated CoM from its reference in the sagittal plane now, m."""

@@ -134,3 +134,17 @@ def test_restored_talkers_continue_identically() -> None:
         talker.restore(state)
     assert run(other, others, 40 * MS) == expected and len(expected) > 50
     assert wire.busy_ns == other.busy_ns
+
+
+def test_a_classical_bus_gets_classical_frames() -> None:
+    values = {"babble": {"rate": "1kHz", "length": 64}, "background": {"load": 0.5, "length": 12}}
+    config = BusConfig.model_validate(values)
+    wire = Wire("leg", config, 5, streams(1))
+    talkers: list[Talker] = [
+        Babbler(wire, BABBLE, config.babble, fd=False),
+        BackgroundTraffic(wire, BACKGROUND, config, streams(1), fd=False),
+    ]
+    delivered = run(wire, talkers, 200 * MS)
+    assert all(not d.frame.fd and not d.frame.brs and len(d.frame.data) == 8 for d in delivered)
+    babble = frame_ns(Frame(0x001, bytes(8), False, False), 1e6, 5e6) / MS
+    assert wire.busy_ns / (200 * MS) == pytest.approx(0.5 + babble, abs=0.02)

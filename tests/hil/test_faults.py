@@ -1,8 +1,11 @@
 """Every fault as the closed loop shows it."""
 
 import json
+import re
 from collections import Counter
+from functools import partial
 from pathlib import Path
+from random import Random
 from typing import Any
 
 import numpy as np
@@ -106,8 +109,51 @@ def test_reordered_states_are_ignored_and_missed(clean: Outcome) -> None:
 def test_corruption_reaches_the_controller_unnoticed(clean: Outcome) -> None:
     outcome, _, system = hung("link.state.corruption=0.01")
     assert system.state_link.counts["corrupted"] > 20
+    assert outcome.record["deliveries"]["link.state"]["corrupted"] == system.state_link.counts["corrupted"]
     assert outcome.tables["controller"]["malformed"][-1] == 0
     assert (outcome.tables["controller"].data != clean.tables["controller"].data).any()
+
+
+def test_a_corrupted_word_is_no_fact_about_the_drive_or_the_round_trip(clean: Outcome) -> None:
+    """What the controller makes of it is another thing: it answers to what it read."""
+    outcome, _, system = hung("bus.left_leg.corruption=0.05", "link.command.corruption=0.02", "controller.enable_at=9s")
+    assert system.wires[1].counts["corrupted"] > 50
+    for name in ("statusword.left_knee", "statusword.left_hip"):
+        assert set(np.unique(outcome.tables["drives"][name])) <= set(np.unique(clean.tables["drives"][name]))
+    outcome, _, _ = hung("link.command.corruption=0.02", "bus.left_leg.corruption=0.02", seed=5)
+    assert round_trips(outcome, "left").max() < 5e-3
+
+
+def any_value(random: Random, entry: Any) -> str:
+    """A valid value of an injectable key, at random."""
+    bounds = re.fullmatch(r"(\S+) to (\S+?)( \w+)?", entry.range)
+    if bounds is None:
+        return random.choice(re.split(r", | or ", entry.range))
+    low, high, unit = float(bounds[1]), float(bounds[2]), bounds[3] or ""
+    if isinstance(entry.default, int):
+        return str(random.randint(int(low), int(high)))
+    scale = random.choice((1.0, 1e-3, 1e-6)) if low == 0 else 1.0
+    return f"{scale * random.uniform(low, high)!r}{unit}"
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_any_sequence_of_injections_is_survived_and_repeated(seed: int) -> None:
+    def digest() -> str:
+        random = Random(seed)
+        with assemble(Request(load("stand", HUNG), seed, "inline")) as assembly:
+            system = assembly.system
+            system.monitor = None  # it would end the run
+            known = injectable(description.load("hume"))
+            if not hasattr(system.wires[0], "cut"):
+                known = {k: v for k, v in known.items() if not k.endswith((".cut", ".stuck_dominant", ".bit_rate"))}
+            for n in range(60):
+                key, entry = random.choice(list(known.items()))
+                system.requests.append(partial(system.inject, key, any_value(random, entry)))
+                system.run_until((n + 1) * 4_000_000)
+            assert len(system.injected) == 60
+            return assembly.recorder.digest()
+
+    assert digest() == digest()
 
 
 def test_background_adds_its_share_to_the_load_of_the_bus(clean: Outcome) -> None:

@@ -10,6 +10,8 @@ from typing import Any
 
 import can
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from bus.frames import Frame
 from hil.cli import main
@@ -123,6 +125,26 @@ def test_what_is_no_journal_is_refused(
     if content is not None:
         (tmp_path / "journal.jsonl").write_text(content)
     assert words in refused(capsys, tmp_path)
+
+
+WORDS = ["time_ns", "end_ns", "digest", "key", "value", "by", "bus", "port", "frame", "id", "data", "fd", "x"]
+entries = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=5),
+    lambda inner: st.lists(inner, max_size=3)
+    | st.dictionaries(st.sampled_from(WORDS), inner, max_size=6),
+    max_leaves=12,
+)
+
+
+@given(st.lists(st.binary(max_size=30) | entries.map(lambda e: json.dumps(e).encode()), max_size=4))
+def test_any_journal_is_read_or_refused(tmp_path_factory: pytest.TempPathFactory, lines: list[bytes]) -> None:
+    directory = tmp_path_factory.getbasetemp()
+    (directory / "journal.jsonl").write_bytes(START.encode() + b"".join(line + b"\n" for line in lines))
+    try:
+        for entry in read(directory)[1:]:
+            assert isinstance(entry.get("time_ns", entry.get("end_ns")), int)
+    except UserError as error:
+        assert " is not of a run's journal" in str(error)
 
 
 def test_every_frame_survives_the_journal(tmp_path: Path) -> None:
