@@ -6,9 +6,10 @@ their descriptions, units, bounds and defaults are what ``hil inject --list`` sh
 
 from __future__ import annotations
 
+import re
 from typing import Annotated, Any, Literal
 
-from pydantic import BeforeValidator, Field
+from pydantic import AfterValidator, BeforeValidator, Field
 
 from robots.quantities import BitRate, Config, FrameRate, PartsPerMillion, Probability, Seconds
 
@@ -25,6 +26,17 @@ Identifier = Annotated[int, BeforeValidator(_whole), Field(ge=0, le=0x7FF)]
 FrameLength = Annotated[
     Literal[0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64], BeforeValidator(_whole)
 ]  # what a CAN FD frame can carry
+# identifier, bit (from SOF with stuff bits, or FIELD:NUMBER without), which attempt to send it from now on
+_DAMAGE = re.compile(r"(0x[0-9a-fA-F]{1,8}|\d{1,9}) (\d{1,4}|[a-z_]{1,20}(:\d{1,4})?)( [1-9]\d{0,5})?")
+
+
+def _damage(value: str) -> str:
+    if value and _DAMAGE.fullmatch(value) is None:
+        raise ValueError('expected "IDENTIFIER BIT" or "IDENTIFIER BIT ATTEMPT", for example "0x182 crc:3"')
+    return value
+
+
+Damage = Annotated[str, AfterValidator(_damage)]
 Share = Annotated[float, Field(ge=0, le=0.99)]
 
 
@@ -89,6 +101,9 @@ class NodeFaults(Config):
 
     cut: bool = Field(default=False, description="its cable is cut: it neither sends, receives nor acknowledges")
     stuck_dominant: bool = Field(default=False, description="its transceiver holds the bus dominant; nothing passes")
+    listen_only: bool = Field(default=False, description="it receives, and sends nothing, not even an acknowledgement")
+    one_shot: bool = Field(default=False, description="it gives a frame up that lost arbitration or failed")
+    restart: bool = Field(default=False, description="true: it is asked to come back from bus off")
     bit_rate: Annotated[float, Field(ge=0.5, le=2)] = Field(default=1.0, description="its bit rates over the bus's")
     node_id: Annotated[int, BeforeValidator(_whole), Field(ge=0, le=127)] = Field(
         default=0, description="it sends with the identifiers of this node, as if set up wrongly; 0: its own"
@@ -97,10 +112,16 @@ class NodeFaults(Config):
 
 
 class BusConfig(Impairment):
-    """A CAN FD bus: its two bit rates, its impairments, unwanted traffic, and faults of its nodes by name."""
+    """A CAN FD bus: its two bit rates, its impairments, unwanted traffic, and faults of its nodes by name.
+
+    ``damage`` and a node's ``restart`` happen once, whenever they are set.
+    """
 
     arbitration_rate: BitRate = 1e6
     data_rate: BitRate = 5e6
+    damage: Damage = Field(
+        default="", description='one bit of the next frame of an identifier: "0x182 crc:3"; of its fifth: "0x182 17 5"'
+    )
     babble: Babble = Babble()
     background: Background = Background()
     node: dict[str, NodeFaults] = Field(default_factory=dict)

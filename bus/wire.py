@@ -51,10 +51,10 @@ def _priority(frame: Frame) -> int:
     return frame.id << 20
 
 
-def _changed(item: tuple[int, Frame], change: Callable[[bytes], bytes]) -> tuple[int, Frame]:
-    sender, frame = item
+def _changed(delivery: Delivery, change: Callable[[bytes], bytes]) -> Delivery:
+    frame = delivery.frame
     data = change(frame.data)
-    return item if data is frame.data else (sender, frame._replace(data=data))
+    return delivery if data is frame.data else delivery._replace(frame=frame._replace(data=data))
 
 
 class Wire:
@@ -77,7 +77,7 @@ class Wire:
         self._order = 0
         self._free_at = 0  # the bus is idle from here on
         self._sending: tuple[int, bool, _Entry] | None = None  # ends at, intact
-        self._line = Line(self._impairment, _changed)  # impaired deliveries: (sender, frame)
+        self._line = Line(self._impairment, _changed)  # impaired deliveries
         self.busy_ns = 0
         self.sent = 0
         self.lost = 0
@@ -121,7 +121,7 @@ class Wire:
         if sending is not None and sending[0] <= now_ns:
             self._finish(now_ns, sending, delivered)
         if self._line.next_ns <= now_ns:
-            delivered += [Delivery(arrival, *item) for arrival, item in self._line.pop_due(now_ns)]
+            delivered += [delivery._replace(time=at) for at, delivery in self._line.pop_due(now_ns)]
         if self._sending is None and self._waiting and self._free_at <= now_ns:
             self._start(now_ns)
         self._schedule()
@@ -178,7 +178,7 @@ class Wire:
         self._queued[port] -= 1
         if self._impairment.clean:
             delivered.append(Delivery(now_ns, port, frame))
-        elif not self._line.send(now_ns, (port, frame)):
+        elif not self._line.send(now_ns, Delivery(now_ns, port, frame)):
             self.lost += 1
 
     def _schedule(self) -> None:

@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Any
 
+from bus.frames import BASE_ID_LIMIT
 from bus.impairment import NEVER
 from bus.link import Link
 from bus.talkers import Babbler, BackgroundTraffic, Talker
@@ -17,8 +18,18 @@ from hil.senders import Senders
 from hil.streams import StreamFactory
 from robots.description import Robot
 
-# Faults of the physical layer, and the wire's method that takes (port, value).
-_ON_THE_WIRE = {"cut": "cut", "stuck_dominant": "stuck_dominant", "bit_rate": "bit_rate_error"}
+# Faults of a node that are the wire's: its method, which takes port, value and time.
+_ON_THE_WIRE = {
+    "cut": "cut", "stuck_dominant": "stuck_dominant", "listen_only": "listen_only", "one_shot": "one_shot",
+    "bit_rate": "bit_rate_error",
+}  # fmt: skip
+
+
+def _of_wire(wire: Any, method: str) -> Any:
+    """A wire's method. Raises UserError for a wire that has no such fault."""
+    if not hasattr(wire, method):
+        raise UserError(f"this wire has no fault {method!r}")
+    return getattr(wire, method)
 
 
 class NodeSetter:
@@ -36,10 +47,10 @@ class NodeSetter:
     def __call__(self, key: str, value: Any, now_ns: int) -> None:
         """Set ``key`` to ``value``. Raises KeyError for a key that this node has not."""
         if key in _ON_THE_WIRE:
-            method = getattr(self._wire, _ON_THE_WIRE[key], None)
-            if method is None:
-                raise UserError(f"this wire has no fault {key!r}")
-            method(self._port, value)
+            _of_wire(self._wire, _ON_THE_WIRE[key])(self._port, value, now_ns)
+        elif key == "restart":
+            if value:
+                _of_wire(self._wire, "restart")(self._port, now_ns)
         elif self._joint is None or self._senders is None:
             raise KeyError(key)
         elif key == "node_id":
@@ -95,8 +106,8 @@ class Faults:
 
     def setters(self, links: Mapping[str, Link]) -> dict[str, Set]:
         """Who takes the injectable keys under which path; ``links`` by path."""
-        setters: dict[str, Set] = {path: partial(_set, link) for path, link in links.items()}
-        setters |= {f"bus.{wire.name}": partial(_set, wire) for wire in self._wires}
+        setters: dict[str, Set] = {path: partial(_set_link, link) for path, link in links.items()}
+        setters |= {f"bus.{wire.name}": partial(_set_wire, wire) for wire in self._wires}
         setters |= {path: partial(self._set_talker, talker) for path, talker in self._talkers.items()}
         for bus, wire in zip(self._robot.buses, self._wires, strict=True):
             for port, name in enumerate((GATEWAY, *bus.joints)):
@@ -119,5 +130,19 @@ class Faults:
         self.look()
 
 
-def _set(impaired: Link | Wire, key: str, value: Any, now_ns: int) -> None:
-    impaired.set(key, value)
+def _set_link(link: Link, key: str, value: Any, now_ns: int) -> None:
+    link.set(key, value)
+
+
+def _set_wire(wire: Wire, key: str, value: Any, now_ns: int) -> None:
+    if key != "damage":
+        wire.set(key, value)
+    elif value:
+        identifier, bit, *attempt = value.split()
+        number = int(identifier, 0)
+        place = int(bit) if bit.isdecimal() else bit
+        try:
+            extended = number >= BASE_ID_LIMIT
+            _of_wire(wire, "damage")(number, int(attempt[0]) if attempt else 1, place, extended=extended)
+        except ValueError as error:
+            raise UserError(f"damage = {value!r}: {error}") from None

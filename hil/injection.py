@@ -16,7 +16,7 @@ import annotated_types
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
-from bus.config import Babble, Background, Burst, Impairment, NodeFaults
+from bus.config import Babble, Background, Burst, BusConfig, Impairment, NodeFaults
 from hil.errors import UserError
 from hil.journal import Journal
 from robots.description import Robot
@@ -57,6 +57,7 @@ def of_bus(name: str, nodes: Sequence[str] = (), joints: Sequence[str] = ()) -> 
     """All that can be injected into one bus with these nodes, some of which are joints."""
     path = f"bus.{name}"
     entries = _by_key(_fields(Impairment, path))
+    entries |= _by_key(_fields(BusConfig, path, only=("damage",)))
     entries |= _by_key(_fields(Babble, f"{path}.babble")) | _by_key(_fields(Background, f"{path}.background"))
     for node in nodes:
         entries |= _by_key(_fields(NodeFaults, f"{path}.node.{node}", without=_OF_JOINTS))
@@ -69,8 +70,12 @@ def _by_key(entries: Iterable[Injectable]) -> dict[str, Injectable]:
     return {entry.key: entry for entry in entries}
 
 
-def _fields(model: type[BaseModel], path: str, without: tuple[str, ...] = ()) -> Iterator[Injectable]:
+def _fields(
+    model: type[BaseModel], path: str, without: Sequence[str] = (), only: Sequence[str] = ()
+) -> Iterator[Injectable]:
     for name, field in model.model_fields.items():
+        if only and name not in only:
+            continue
         if field.annotation is Burst:
             yield from _fields(Burst, f"{path}.{name}")
         elif name not in without:
@@ -84,6 +89,8 @@ def _range(field: FieldInfo, unit: str) -> str:
         return "true or false"
     if typing.get_origin(field.annotation) is typing.Literal:
         return ", ".join(map(str, typing.get_args(field.annotation)))
+    if field.annotation is str:
+        return "IDENTIFIER BIT [ATTEMPT]"
     low = next(m.ge for m in field.metadata if isinstance(m, annotated_types.Ge))
     high = next(m.le for m in field.metadata if isinstance(m, annotated_types.Le))
     return f"{low:g} to {high:g}{' ' + unit if unit else ''}"
@@ -113,7 +120,8 @@ class Injector:
         self._before: dict[int, Any] = {}  # by number of the injection: the value that it has replaced
         self.injected: list[dict[str, Any]] = []
         for key, value in self._values.items():
-            if ".node." in key and value != self._known[key].default:  # all others are built with their configuration
+            # all others are built with their configuration
+            if (".node." in key or key.endswith(".damage")) and value != self._known[key].default:
                 self._set(key, value, 0)
 
     @property

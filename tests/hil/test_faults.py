@@ -14,13 +14,14 @@ import pytest
 from bus import messages
 from bus.frames import Frame
 from hil.errors import UserError
-from hil.faults import NodeSetter
+from hil.faults import NodeSetter, _set_wire
 from hil.injection import Injector, injectable
 from hil.journal import Journal
 from hil.run import Outcome, Request, assemble, run
 from hil.scenario import load, parse_value
 from robots import description
 
+OF_THE_WIRE = ("cut", "stuck_dominant", "listen_only", "one_shot", "bit_rate", "restart", "damage")
 HUNG = ["duration=0.4s", "controller.enable_at=0.05s", "world.hoist.hold=1s"]  # the robot hangs: no fault ends the run
 
 
@@ -126,6 +127,8 @@ def test_a_corrupted_word_is_no_fact_about_the_drive_or_the_round_trip(clean: Ou
 
 def any_value(random: Random, entry: Any) -> str:
     """A valid value of an injectable key, at random."""
+    if entry.default == "":
+        return f"{random.randrange(0x800):#x} {random.randrange(200)} {random.randint(1, 9)}"
     bounds = re.fullmatch(r"(\S+) to (\S+?)( \w+)?", entry.range)
     if bounds is None:
         return random.choice(re.split(r", | or ", entry.range))
@@ -145,7 +148,7 @@ def test_any_sequence_of_injections_is_survived_and_repeated(seed: int) -> None:
             system.monitor = None  # it would end the run
             known = injectable(description.load("hume"))
             if not hasattr(system.wires[0], "cut"):
-                known = {k: v for k, v in known.items() if not k.endswith((".cut", ".stuck_dominant", ".bit_rate"))}
+                known = {key: entry for key, entry in known.items() if key.rpartition(".")[2] not in OF_THE_WIRE}
             for n in range(60):
                 key, entry = random.choice(list(known.items()))
                 system.requests.append(partial(system.inject, key, any_value(random, entry)))
@@ -206,36 +209,39 @@ def test_a_drifting_drive_reports_at_the_rate_of_its_own_clock(ppm: int) -> None
 
 
 class FakeWire:
-    """The methods of a wire that has faults of its nodes."""
+    """Notes what is asked of it."""
 
     def __init__(self) -> None:
-        self.calls: list[tuple[str, int, Any]] = []
+        self.calls: list[tuple[Any, ...]] = []
 
-    def cut(self, port: int, value: bool) -> None:
-        self.calls.append(("cut", port, value))
-
-    def stuck_dominant(self, port: int, value: bool) -> None:
-        self.calls.append(("stuck_dominant", port, value))
-
-    def bit_rate_error(self, port: int, factor: float) -> None:
-        self.calls.append(("bit_rate_error", port, factor))
+    def __getattr__(self, name: str) -> Any:
+        if name not in ("cut", "stuck_dominant", "listen_only", "one_shot", "bit_rate_error", "restart", "damage"):
+            raise AttributeError(name)
+        return lambda *args, **kwargs: self.calls.append((name, *args, *kwargs.items()))
 
 
 def test_faults_of_the_physical_layer_are_the_wires() -> None:
-    wire = FakeWire()
-    setter = NodeSetter(wire, 3, None, None)
-    scenario = load("stand", ["bus.left_leg.node.left_knee.cut=true", "inject=[{at='1s', until='2s', "
-                              "key='bus.left_leg.node.left_knee.bit_rate', value=1.02}]"])  # fmt: skip
-    injector = Injector(scenario, description.load("hume"), {"bus.left_leg.node.left_knee": setter}, Journal(None))
-    injector.inject(5, "bus.left_leg.node.left_knee.stuck_dominant", "true")
+    wire: Any = FakeWire()
+    knee = "bus.left_leg.node.left_knee"
+    setters = {knee: NodeSetter(wire, 3, None, None), "bus.left_leg": partial(_set_wire, wire)}
+    scenario = load("stand", [f"{knee}.cut=true", "bus.left_leg.damage=0x182 crc:3", "inject=[{at='1s', until='2s', "
+                              f"key='{knee}.bit_rate', value=1.02}}]"])  # fmt: skip
+    injector = Injector(scenario, description.load("hume"), setters, Journal(None))
+    for key, value in (("stuck_dominant", "true"), ("restart", True), ("one_shot", True), ("listen_only", False)):
+        injector.inject(5, f"{knee}.{key}", value)
+    injector.inject(6, "bus.left_leg.damage", "0x1ABCDEF 17 5")
+    injector.inject(7, "bus.left_leg.damage", "")
     injector.apply_due(10**9 - 1)
     injector.apply_due(10**9)
     injector.apply_due(2 * 10**9)
     assert wire.calls == [
-        ("cut", 3, True), ("stuck_dominant", 3, True), ("bit_rate_error", 3, 1.02), ("bit_rate_error", 3, 1.0)
+        ("damage", 0x182, 1, "crc:3", ("extended", False)), ("cut", 3, True, 0), ("stuck_dominant", 3, True, 5),
+        ("restart", 3, 5), ("one_shot", 3, True, 5), ("listen_only", 3, False, 5),
+        ("damage", 0x1ABCDEF, 5, 17, ("extended", True)),
+        ("bit_rate_error", 3, 1.02, 10**9), ("bit_rate_error", 3, 1.0, 2 * 10**9),
     ]  # fmt: skip
     with pytest.raises(UserError, match="nothing to inject"):
-        injector.inject(5, "bus.left_leg.node.left_knee.drift", "5ppm")
+        injector.inject(5, f"{knee}.drift", "5ppm")
     with pytest.raises(UserError, match="this wire has no fault 'cut'"):
         NodeSetter(object(), 3, None, None)("cut", True, 0)
 
@@ -307,11 +313,10 @@ def test_a_run_with_all_faults_is_restored(backend: str) -> None:
 def test_every_injectable_key_takes_effect_in_a_run(tmp_path: Path) -> None:
     """None of the registry's keys is without somebody who takes it."""
     request = Request(load("stand", HUNG), backend="inline", out=tmp_path / "run", report=False)
-    on_the_wire = ("cut", "stuck_dominant", "bit_rate")
     with assemble(request) as assembly:
         keys = injectable(description.load("hume"))
         for key, entry in keys.items():
-            if key.rpartition(".")[2] in on_the_wire and not hasattr(assembly.system.wires[0], "cut"):
+            if key.rpartition(".")[2] in OF_THE_WIRE and not hasattr(assembly.system.wires[0], "cut"):
                 continue
             value = entry.written(entry.default)
             assert assembly.system.inject(key, value) == parse_value(key, value)

@@ -166,7 +166,10 @@ def test_every_injectable_key_is_one_of_the_scenarios_and_keeps_its_range() -> N
     for key, entry in listed.items():
         assert parse_value(key, entry.written(entry.default)) == entry.default, key
         bounds = re.fullmatch(r"(\S+) to (\S+?)( \w+)?", entry.range)
-        if bounds is None:  # a choice
+        if entry.default == "":
+            assert parse_value(key, "0x182 crc:3") == "0x182 crc:3" and parse_value(key, "5 17 2") == "5 17 2"
+            beyond = ["0x182", "crc:3", "0x182 crc:3 x", "-1 2"]
+        elif bounds is None:  # a choice
             for choice in re.split(r", | or ", entry.range):
                 assert str(parse_value(key, choice)).lower() == choice, key
             beyond = ["9.5", "maybe"]

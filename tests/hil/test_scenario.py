@@ -66,6 +66,8 @@ def tables_of(model: type[BaseModel]) -> st.SearchStrategy[dict[str, Any]]:
     fields = {name: values_of(field.annotation, (field,)) for name, field in model.model_fields.items()}
     if model is Scenario:
         fields["name"] = st.just("any name")
+    if "damage" in fields:
+        fields["damage"] = st.sampled_from(["", "0x182 crc:3", "5 17 2"])
     required = {name: s for name, s in fields.items() if model.model_fields[name].is_required()}
     optional = {name: s for name, s in fields.items() if name not in required}
     return st.fixed_dictionaries(required, optional=optional)
@@ -172,7 +174,7 @@ MISTAKES = {
     "link.command=3": "link.command = 3: expected a table with delay, jitter, jitter_shape, loss, burst, "
     "bit_error_rate, corruption, duplicate, reorder",
     "bus.left_leg=3": "bus.left_leg = 3: expected a table with delay, jitter, jitter_shape, loss, burst, "
-    "bit_error_rate, corruption, duplicate, reorder, arbitration_rate, data_rate, babble, background, node",
+    "bit_error_rate, corruption, duplicate, reorder, arbitration_rate, data_rate, damage, babble, background, node",
     "link.command.burst.entr=1": "unknown key 'link.command.burst.entr'; did you mean 'link.command.burst.enter'?",
     "link.command.jitter_shape=cauchy": "link.command.jitter_shape = 'cauchy': expected 'uniform', 'normal', "
     "'exponential', 'lognormal' or 'pareto'",
@@ -182,6 +184,8 @@ MISTAKES = {
     "bus.left_leg.background.load=1": "bus.left_leg.background.load = 1: expected at most 0.99",
     "bus.left_leg.background.length=9": "bus.left_leg.background.length = 9: expected 0, 1, 2, 3, 4, 5, 6, 7, 8, 12, "
     "16, 20, 24, 32, 48 or 64",
+    "bus.left_leg.damage=182h crc": "bus.left_leg.damage = '182h crc': expected \"IDENTIFIER BIT\" or "
+    "\"IDENTIFIER BIT ATTEMPT\", for example \"0x182 crc:3\"",
     "bus.left_leg.node.left_knee.cut=2": "bus.left_leg.node.left_knee.cut = 2: expected true or false",
     "bus.left_leg.node.left_knee.drift=5": "bus.left_leg.node.left_knee.drift = 5: 5 has no unit: write one of ppm, "
     'for example "5ppm"',
