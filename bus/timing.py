@@ -8,8 +8,8 @@ Bit fields, and the rate at which they run::
                 before them and after every fourth of them  |  delimiter 1
     both        ACK 1  delimiter 1  EOF 7  intermission 3                                arbitration rate
 
-The part left of the first bar is stuffed dynamically. The rate is switched at the sample point of BRS and,
-back, at that of the CRC delimiter. Whatever the two rates' sample points are, these two bits together last
+A remote frame has no data. The part left of the first bar is stuffed dynamically. The rate is switched at the
+sample point of BRS and, back, at that of the CRC delimiter. Whatever the two rates' sample points are, these two bits together last
 one bit time of either rate: BRS is counted wholly at the arbitration rate, the CRC delimiter wholly at the
 data rate, and the sum is exact.
 """
@@ -57,15 +57,17 @@ _CRC15 = [_crc15(0, byte, 8) for byte in range(256)]
 
 
 @lru_cache(maxsize=4096)
-def _prefix(identifier: int, length: int, fd: bool, brs: bool, extended: bool) -> _Prefix:
-    checked(Frame(identifier, bytes(length), fd, brs, extended))
-    if extended:  # base identifier, SRR and IDE recessive, extension, RTR (RRS) dominant
-        head, width = ((identifier >> 18) << 20 | 3 << 18 | (identifier & 0x3FFFF)) << 1, 32
-    else:  # identifier, RTR (RRS) and IDE dominant
-        head, width = identifier << 2, 13
-    if fd:  # FDF recessive, res dominant, BRS; then ESI dominant (error active) and DLC
+def _prefix(
+    identifier: int, length: int, fd: bool, brs: bool, extended: bool, remote: bool, esi: bool
+) -> _Prefix:
+    checked(Frame(identifier, bytes(length), fd, brs, extended, remote, esi))
+    if extended:  # base identifier, SRR and IDE recessive, extension, RTR (RRS)
+        head, width = ((identifier >> 18) << 20 | 3 << 18 | (identifier & 0x3FFFF)) << 1 | remote, 32
+    else:  # identifier, RTR (RRS), IDE dominant
+        head, width = identifier << 2 | remote << 1, 13
+    if fd:  # FDF recessive, res dominant, BRS; then ESI (recessive: error passive) and DLC
         state, stuffed_slow = stuffing.after_bits(stuffing.START, head << 3 | 4 | brs, width + 3)
-        state, stuffed_fast = stuffing.after_bits(state, _DLC[length], 5)
+        state, stuffed_fast = stuffing.after_bits(state, esi << 4 | _DLC[length], 5)
         slow = 1 + width + 3 + stuffed_slow
         check = 4 + (17 if length <= 16 else 21)
         fixed_stuff = 1 + check // 4
@@ -74,14 +76,17 @@ def _prefix(identifier: int, length: int, fd: bool, brs: bool, extended: bool) -
     control = 6 if extended else 5  # r1, r0 and DLC
     head, width = head << control | length, width + control
     state, stuffed = stuffing.after_bits(stuffing.START, head, width)
-    return _Prefix(state, _crc15(0, head, width), 1 + width + stuffed + 8 * length + 15 + 1, 0, False)
+    data_bits = 0 if remote else 8 * length
+    return _Prefix(state, _crc15(0, head, width), 1 + width + stuffed + data_bits + 15 + 1, 0, False)
 
 
 def frame_bits(frame: Frame) -> FrameBits:
     """Bits of ``frame`` before its tail of TAIL bits, per rate. Raises InvalidFrameError for an impossible
     frame."""
-    identifier, data, fd, brs, extended, _, _ = frame
-    state, crc, slow, fast, switches = _prefix(identifier, len(data), fd, brs, extended)
+    identifier, data, fd, brs, extended, remote, esi = frame
+    state, crc, slow, fast, switches = _prefix(identifier, len(data), fd, brs, extended, remote, esi)
+    if remote:
+        data = b""  # only its length was sent
     state, stuffed = stuffing.after_bytes(state, data)
     if switches:
         return FrameBits(slow, fast + stuffed)
@@ -107,7 +112,6 @@ class BitRates:
     def ns(self, slow: int, fast: int = 0) -> int:
         """Time of ``slow`` bits at the arbitration rate and ``fast`` at the data rate, ns, rounded up."""
         return -(-(slow * self._slow + fast * self._fast) // self._denominator)
-
 
     def ns_until(self, bit: int, bits: FrameBits) -> int:
         """Time from the start of a frame of ``bits`` to the end of its bit number ``bit`` (from 0), ns."""
