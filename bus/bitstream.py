@@ -45,6 +45,7 @@ class Field(IntEnum):
     ACK_DELIMITER = 0x1B
     EOF = 0x1A
     INTERMISSION = 0x12
+    ERROR_DELIMITER = 0x17  # of the SJA1000; SocketCAN has no name for it
 
 
 class Kind(IntEnum):

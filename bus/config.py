@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 from robots.quantities import BitRate, Config, Probability, Seconds
 
 
@@ -15,10 +17,15 @@ class Impairment(Config):
 
 
 class BusConfig(Impairment):
-    """A CAN FD bus: its two bit rates and its impairments."""
+    """A CAN FD bus: its two bit rates, how its controllers behave, and its impairments."""
 
     arbitration_rate: BitRate = 1e6
     data_rate: BitRate = 5e6
+    # Which of a node's frames is next: that of the highest priority (mailboxes), or the oldest (a FIFO, which shows
+    # priority inversion).
+    queue: Literal["priority", "fifo"] = "priority"
+    # After bus off: recover by itself, or only on request (as SocketCAN's restart-ms 0).
+    bus_off_recovery: Literal["automatic", "request"] = "automatic"
 
 
 class LinkConfig(Config):
