@@ -64,10 +64,6 @@ class Controller:
         self._steps = self._run()
         self.drive = next(self._steps)
 
-    @property
-    def done(self) -> bool:
-        return self.ready_at >= 0
-
     def step(self, now: int, level: int) -> None:
         """Sample ``level`` at the end of a bit and decide on the next one."""
         self._now = now
@@ -218,23 +214,23 @@ def play(controllers: list[Controller], slow: int, fast: int, dominant_from: int
     """
     for one in controllers:
         one.until = fast if one.fast else slow
-    now = 0
-    while True:
-        running = [one for one in controllers if not one.done]
-        if dominant_from is None:
-            if all(one.idle for one in running):
-                break
-        elif all(one.saturated for one in running):
-            break
-        now = min(one.until for one in running)
-        level = DOMINANT if dominant_from is not None and now > dominant_from else RECESSIVE
+    running, now = controllers, 0
+    while running:
+        upcoming, level, settled = running[0].until, RECESSIVE, True
         for one in running:
+            upcoming = min(upcoming, one.until)
             level &= one.drive
+            settled = settled and (one.idle if dominant_from is None else one.saturated)
+        if settled:
+            break
+        now = upcoming
+        if dominant_from is not None and now > dominant_from:
+            level = DOMINANT
         for one in running:
             if one.until == now:
                 one.step(now, level)
                 one.until = now + (fast if one.fast else slow)
-    for one in controllers:
-        if not one.done:
-            one.ready_at = now
+        running = [one for one in running if one.ready_at < 0]
+    for one in running:
+        one.ready_at = now
     return now
