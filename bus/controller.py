@@ -16,9 +16,10 @@ from __future__ import annotations
 from collections.abc import Callable, Generator
 from dataclasses import replace
 
-from bus.bitstream import DOMINANT, RECESSIVE, Field, Kind, Receiver, ViolationError, encode
+from bus.bitstream import DOMINANT, RECESSIVE, Field, Kind, ViolationError, encode
 from bus.confinement import PASSIVE, Counters, State, state_frame, violation_frame
 from bus.frames import ErrorFrame, Frame
+from bus.receiver import Receiver
 
 _FLAG, _DELIMITER, _INTERMISSION = 6, 8, 3
 _TOLERATED = 8  # dominant bits after a flag, until rule f counts them

@@ -6,12 +6,11 @@ The short way of a frame is in ``bus.wire``; what becomes of an attempt that may
 from __future__ import annotations
 
 import heapq
-import math
 from collections import deque
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-from bus.bitstream import Field, encode
+from bus.bitstream import encode
 from bus.config import BusConfig
 from bus.confinement import State
 from bus.frames import Frame
@@ -200,120 +199,24 @@ class Medium:
     def _wake(self, now_ns: int) -> None:
         """Nodes that come back from bus off, and a wire that becomes dominant."""
         self._errors.extend(self._nodes.recover(self._free_at - self._integration_ns, now_ns))
-        if self._nodes.stuck:
+        if self._nodes.dominant:
+            self._nodes.interrupted(self._free_at - self._integration_ns, now_ns)
             self._follow(now_ns, {}, self._nodes.jam(now_ns, {}, now_ns))
 
     def _next_with_faults(self) -> int:
         nodes, free_at = self._nodes, self._free_at
-        if free_at == NEVER or nodes.stuck:
+        if free_at == NEVER or nodes.dominant:
             return free_at
         ready = [nodes.can_send_from(port) for port in {entry[1] for entry in self._waiting}]
         times = [max(free_at, time) for time in ready if time is not None]
         recovery = nodes.recovery_at(free_at - self._integration_ns)
         return min([*times, NEVER if recovery is None else max(free_at, recovery)])
 
-    # --- faults: ``now_ns`` is the time of the run; all but a stuck wire take effect with the next frame ----------
-
-    def damage(
-        self, identifier: int, occurrence: int, bit: int | str, extended: bool = False, port: int | None = None
-    ) -> None:
-        """Have one bit seen wrong in the ``occurrence``-th (from 1) attempt to send ``identifier`` from now on.
-
-        bit: from SOF with its stuff bits (0), or a field and the bit in it without stuff bits ("data:12", "crc:0",
-        "ack", "eof:5"; names of ``bus.bitstream.Field``). A bit that the frame does not have is not damaged. port:
-        the only one that sees it; by default all do. Raises ValueError for what cannot be a bit or an occurrence.
-        """
-        if isinstance(bit, str):
-            name, _, number = bit.partition(":")
-            if name.upper() not in Field.__members__ or not (number or "0").isdecimal():
-                names = ", ".join(field.name.lower() for field in Field)
-                raise ValueError(f"no bit {bit!r}: expected a number, or FIELD or FIELD:NUMBER with one of {names}")
-        elif bit < 0:
-            raise ValueError(f"bit {bit}: expected 0 or more")
-        if occurrence < 1:
-            raise ValueError(f"occurrence {occurrence}: expected 1 or more")
-        if port is not None:
-            self._check_port(port)
-        self._armed.setdefault((identifier, extended), []).append((occurrence, bit, port))
-
-    def cut(self, port: int, on: bool, now_ns: int) -> None:
-        """Cut the cable of a node: it neither sends, receives nor acknowledges."""
-        self._set_fault(self._nodes.cut, port, on, now_ns)
-
-    def listen_only(self, port: int, on: bool, now_ns: int) -> None:
-        """A node that receives, but sends nothing: no frame, no acknowledgement, no error flag."""
-        self._set_fault(self._nodes.listen_only, port, on, now_ns)
-
-    def one_shot(self, port: int, on: bool, now_ns: int) -> None:
-        """A node that gives a frame up when it loses arbitration or fails."""
-        self._set_fault(self._nodes.one_shot, port, on, now_ns)
-
-    def bit_rate_error(self, port: int, factor: float, now_ns: int) -> None:
-        """Let a node run at ``factor`` times the right bit rates; 1 is right. Raises ValueError unless 0.5 … 2."""
-        self._check_port(port)
-        if not (math.isfinite(factor) and 0.5 <= factor <= 2):
-            raise ValueError(f"bit rate factor {factor!r}: expected 0.5 to 2")
-        self._nodes.rate.pop(port, None)
-        if factor != 1:
-            self._nodes.rate[port] = factor
-        self._faults_changed(now_ns)
-
-    def restart(self, port: int, now_ns: int) -> None:
-        """Ask a node that is bus off to recover: it is back after 128 sequences of 11 recessive bits. Nothing happens
-        to any other."""
-        self._check_port(port)
-        self._nodes.restart(port, self._free_at - self._integration_ns, now_ns)
-        self._faults_changed(now_ns)
-
-    def stuck_dominant(self, port: int, on: bool, now_ns: int) -> None:
-        """Let a node's transceiver pull the wire dominant, at once: a frame under way is destroyed and its sender goes
-        bus off, the others become error passive, nobody can send. When it lets go, the bus is free 11 bits later."""
-        was = bool(self._nodes.stuck)
-        self._set_fault(self._nodes.stuck, port, on, now_ns)
-        if bool(self._nodes.stuck) == was:
-            return
-        sending = self._sending
-        if was:
-            if sending is not None and sending[3] is not None and sending[3][1].jammed:
-                self._conclude(now_ns, sending, [])  # it is dominant no longer than until now
-                self._sending = None
-            if self._free_at == NEVER:
-                self.busy_ns += max(0, now_ns - self._jammed_since)
-                self._free_at = now_ns + self._integration_ns
-        elif sending is not None and now_ns < sending[0]:
-            self._withdraw(now_ns, sending)
-            entries = sending[3][0] if sending[3] is not None else {}
-            if sending[2] is not None:
-                entries = {sending[2][1]: sending[2]}
-                heapq.heappush(self._waiting, sending[2])
-            heads = {one: self._nodes.as_sent(one, entry[4]) for one, entry in entries.items()}
-            self._follow(sending[1], entries, self._nodes.jam(sending[1], heads, now_ns))
-        self._faults_changed(now_ns)
-
-    def _withdraw(self, now_ns: int, sending: Sending) -> None:
-        """Take back what was foretold of a frame under way."""
-        self.busy_ns -= self._free_at - sending[1]
-        self._foretold = []
-
-    def _set_fault(self, ports: set[int], port: int, on: bool, now_ns: int) -> None:
-        self._check_port(port)
-        (ports.add if on else ports.discard)(port)
-        self._faults_changed(now_ns)
-
-    def _check_port(self, port: int) -> None:
-        if not 0 <= port < self.ports:
-            raise ValueError(f"bus {self.name} has no port {port}: expected 0 to {self.ports - 1}")
-
-    def _faults_changed(self, now_ns: int) -> None:
-        self._nodes.changed()
-        self._schedule()
-        self._next = max(self._next, now_ns)
+    # --- what there is to know, and impairments -----------------------------------------------------------------
 
     def set(self, key: str, value: Any) -> None:
         """Change one impairment from the next frame on."""
         self._impairment.set(key, value)
-
-    # --- what there is to know ----------------------------------------------------------------------------------
 
     def ports_state(self, port: int) -> PortState:
         """Error counters and state of a node, as of the last frame's end."""

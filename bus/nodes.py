@@ -85,6 +85,11 @@ class Nodes:
         normal = not (self.cut or self.stuck or self.listen_only or self.one_shot or self.rate)
         self.calm = normal and len(self.counters) > 1 and all(one.clear for one in self.counters)
 
+    @property
+    def dominant(self) -> bool:
+        """Whether a stuck node holds the wire."""
+        return bool(self.stuck - self.cut)
+
     # --- who takes part -----------------------------------------------------------------------------------------
 
     def takes_part(self, port: int, now: int) -> bool:

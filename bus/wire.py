@@ -15,14 +15,15 @@ import heapq
 
 from bus.frames import Frame
 from bus.link import NEVER
-from bus.medium import QUEUE, Delivery, Entry, Medium, PortState, Sending
+from bus.medium import QUEUE, Delivery, Entry, PortState, Sending
 from bus.timing import INTERMISSION, TAIL, contender
 from bus.traffic import Traffic, Wait
+from bus.wire_faults import FaultyMedium
 
 __all__ = ["QUEUE", "Delivery", "PortState", "Traffic", "Wait", "Wire"]
 
 
-class Wire(Medium):
+class Wire(FaultyMedium):
     """One bus with ``ports`` ports. Event driven: ``next_time`` tells when ``advance`` has something to do.
 
     A frame that is offered while the bus is idle takes part in the arbitration of that instant, together with

@@ -8,8 +8,9 @@ from crccheck.crc import Crc15Can, Crc17CanFd, Crc21CanFd
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bus.bitstream import DOMINANT, Field, Kind, Receiver, ViolationError, crc, decode, encode, frame_check, stuff_count
+from bus.bitstream import DOMINANT, Field, Kind, ViolationError, crc, encode, frame_check, stuff_count
 from bus.frames import CAN_FD_LENGTHS, Frame
+from bus.receiver import Receiver, decode
 from bus.timing import TAIL, frame_bits
 from tests.bus.frame_strategy import frames
 

@@ -417,6 +417,22 @@ def test_a_wire_stuck_while_idle_stops_everything_and_nobody_goes_off() -> None:
     assert delivery.time == 10**9 + 11 * BIT + duration(classical(0x123))
 
 
+def test_cutting_the_stuck_node_frees_the_wire_even_at_once() -> None:
+    one = wire()
+    one.offer(0, 1, classical(0x123))
+    one.advance(0)
+    one.stuck_dominant(4, True, 40 * BIT)
+    one.cut(4, True, 50 * BIT)
+    assert one.busy_ns == 50 * BIT
+    (delivery,) = run(one)
+    assert delivery.frame.id == 0x123 and delivery.missed == 1 << 4
+    assert all(at < 10**9 for at, _, _ in one.error_frames())
+    one.stuck_dominant(3, True, 10**9)
+    one.stuck_dominant(3, False, 10**9)  # nothing of it is left
+    one.offer(10**9, 1, classical(0x124))
+    assert [d.time for d in run(one)] == [10**9 + duration(classical(0x124))]
+
+
 @pytest.mark.parametrize("factor", [0.985, 1.015])
 def test_a_bit_rate_within_the_tolerance_does_no_harm(factor: float) -> None:
     one = wire()

@@ -169,7 +169,7 @@ MISTAKES = {
     "link.command.loss=nan": "link.command.loss = nan: expected a finite number",
     "link.command=3": "link.command = 3: expected a table with delay, jitter, loss, bit_error_rate",
     "bus.left_leg=3": "bus.left_leg = 3: expected a table with delay, jitter, loss, bit_error_rate, arbitration_rate, "
-    "data_rate",
+    "data_rate, queue, bus_off_recovery",
     "bus=3": "bus = 3: expected a table of tables",
     "push=3": "push = 3: expected a list",
     "push=[{at='1s', duration='1s', force=['1N']}]": "push.0.force = ['1N']: expected 3 values",
