@@ -119,6 +119,11 @@ class BusConfig(Impairment):
 
     arbitration_rate: BitRate = 1e6
     data_rate: BitRate = 5e6
+    # Which of a node's frames is next: that of the highest priority (mailboxes), or the oldest (a FIFO, which shows
+    # priority inversion).
+    queue: Literal["priority", "fifo"] = "priority"
+    # After bus off: recover by itself, or only on request (as SocketCAN's restart-ms 0).
+    bus_off_recovery: Literal["automatic", "request"] = "automatic"
     damage: Damage = Field(
         default="", description='one bit of the next frame of an identifier: "0x182 crc:3"; of its fifth: "0x182 17 5"'
     )

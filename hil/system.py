@@ -172,7 +172,7 @@ class System:
         for b, wire in enumerate(self.wires):
             if wire.next_time() == now:
                 for delivery in wire.advance(now):
-                    self._deliver(b, now, delivery.sender, delivery.frame)
+                    self._deliver(b, now, delivery.sender, delivery.frame, delivery.missed)
         if self.state_link.next_time() == now:
             for arrival, (source, can_id, data) in self.state_link.pop_due(now):
                 self._arrived.append((arrival, source, can_id, data))
@@ -189,18 +189,21 @@ class System:
         if now == self._control_ns:
             self._start_control(now)
 
-    def _deliver(self, b: int, now: int, sender: int, frame: Frame) -> None:
+    def _deliver(self, b: int, now: int, sender: int, frame: Frame, missed: int) -> None:
+        """``missed``: bit mask of the ports that a fault keeps the frame from."""
         self.recorder.frame(now, b, frame)
-        if self.tap is not None:
+        if self.tap is not None and not missed >> self._tool_port[b] & 1:
             self.tap.broadcast(b, now, sender, frame)
         sound = type(frame.data) is bytes  # what a corrupted frame says is no fact about the run
         if frame.id == messages.COMMAND:  # the acceptance filter of the drives' CAN controllers
             for slot, joint in enumerate(self._joints_of[b]):
+                if missed >> slot + 1 & 1:
+                    continue
                 if sender != slot + 1:
                     self._inboxes[joint].append(frame)
                 if sender == GATEWAY_PORT and sound:
                     self._note_round_trip(now, joint, slot, frame.data)
-        if sender != GATEWAY_PORT:
+        if sender != GATEWAY_PORT and not missed >> GATEWAY_PORT & 1:
             item = self.gateway.from_can(now, b, frame)
             if item is not None:
                 self.state_link.send(now, item, 8 * len(frame.data))

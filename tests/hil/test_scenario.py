@@ -174,7 +174,8 @@ MISTAKES = {
     "link.command=3": "link.command = 3: expected a table with delay, jitter, jitter_shape, loss, burst, "
     "bit_error_rate, corruption, duplicate, reorder",
     "bus.left_leg=3": "bus.left_leg = 3: expected a table with delay, jitter, jitter_shape, loss, burst, "
-    "bit_error_rate, corruption, duplicate, reorder, arbitration_rate, data_rate, damage, babble, background, node",
+    "bit_error_rate, corruption, duplicate, reorder, arbitration_rate, data_rate, queue, bus_off_recovery, "
+    "damage, babble, background, node",
     "link.command.burst.entr=1": "unknown key 'link.command.burst.entr'; did you mean 'link.command.burst.enter'?",
     "link.command.jitter_shape=cauchy": "link.command.jitter_shape = 'cauchy': expected 'uniform', 'normal', "
     "'exponential', 'lognormal' or 'pareto'",
