@@ -85,8 +85,9 @@ def test_the_gateways_cable_takes_all_drives_of_the_bus_along() -> None:
 
 def test_a_wire_held_dominant_carries_nothing() -> None:
     outcome, listener, system = hung(f"200, {KNEE}.stuck_dominant, true")
-    assert listener.count(190, 200).total() > 60 and listener.count(201, 300).total() == 0
-    assert outcome.tables["bus"]["sent.right_leg"][-1] > 2 * outcome.tables["bus"]["sent.left_leg"][-1] * 0.7
+    assert listener.count(190, 200).total() >= 60 and listener.count(201, 300).total() == 0
+    sent = {bus: outcome.tables["bus"][f"sent.{bus}"][-1] for bus in ("right_leg", "left_leg")}
+    assert sent["right_leg"] - sent["left_leg"] > 500  # the other bus goes on
     assert system.wires[LEFT].errors > 0
 
 
