@@ -10,7 +10,7 @@ from typing import Any
 
 import can
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from bus.frames import Frame
@@ -138,6 +138,7 @@ ENTRIES = st.recursive(
 
 
 @given(st.lists(st.binary(max_size=30) | ENTRIES.map(lambda e: json.dumps(e).encode()), max_size=4))
+@settings(deadline=None)
 def test_any_journal_is_read_or_refused(tmp_path_factory: pytest.TempPathFactory, lines: list[bytes]) -> None:
     directory = tmp_path_factory.getbasetemp()
     (directory / "journal.jsonl").write_bytes(START.encode() + b"".join(line + b"\n" for line in lines))
