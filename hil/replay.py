@@ -10,7 +10,7 @@ from typing import Any
 
 from bus.frames import Frame
 from hil import journal
-from hil.errors import EXIT_STABLE, EXIT_UNSTABLE, UserError
+from hil.errors import EXIT_STABLE, EXIT_UNSTABLE, EmulationError, UserError
 
 
 class Replay:
@@ -47,12 +47,12 @@ def replay(directory: Path) -> tuple[bool, str]:
     Raises UserError when there is nothing that can be replayed.
     """
     from hil.run import Request, run, versions
-    from hil.scenario import validate
+    from hil.scenario import complete
 
     start, *entries = journal.read(directory)
     start = start["run"]
     source = f"{directory / journal.JOURNAL_FILE}: configuration"
-    scenario = validate(_readable(start["configuration"]), source)
+    scenario = complete(_readable(start["configuration"]), source)
     recorded = {e["time_ns"]: e["digest"] for e in entries if "digest" in e and "time_ns" in e}
     end = next((e for e in entries if "end_ns" in e), None)
     if end is None:
@@ -66,6 +66,8 @@ def replay(directory: Path) -> tuple[bool, str]:
         assembly.system.tap = Replay(assembly.system, entries)
 
     outcome = run(Request(scenario, start["seed"], "inline", report=False, journal=digests), prepare=prepare)
+    if outcome.record["verdict"] == "failed":
+        raise EmulationError(f"the replay did not get to its end: {outcome.record['reason']}")
     until = f"{max(recorded) * 1e-9:.3f} s, where the run was cut off" if end is None else "its end"
     wrong = next((time for time, digest in sorted(recorded.items()) if digests.at.get(time) != digest), None)
     if wrong is None and (end is None or outcome.record["log_digest"] == end["digest"]):

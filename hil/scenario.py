@@ -71,6 +71,14 @@ def load(name: str, settings: typing.Sequence[str] = ()) -> Scenario:
         if not separator or not all(part.strip() for part in key.split(".")):
             raise UserError(f"--set {setting}: expected KEY=VALUE, for example --set link.command.delay=3ms")
         _assign(data, key.strip(), _literal(text.strip()))
+    return complete(data, source)
+
+
+def complete(data: dict[str, Any], source: str) -> Scenario:
+    """The scenario of ``data`` (of the file or place ``source``), checked as a whole, with all buses of its robot.
+
+    Raises UserError with the key's path and what would be right.
+    """
     scenario = validate(data, source)
     _check_consistency(scenario, source)
     robot = description.load(scenario.robot)

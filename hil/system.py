@@ -262,11 +262,11 @@ class System:
         self._drive_rows.append(now, self._drive_row)
         self._drive_row[2 * self._joint_count :] = np.nan
 
-    def _offer_of_tool(self, now: int, bus: int, frame: Frame) -> None:
+    def _offer_of_tool(self, now: int, bus: int, frame: Frame) -> bool:
         wire, port = self.wires[bus], self._tool_port[bus]
         self.tool_frames += 1
         self.journal.write(frame_entry(now, wire.name, port, frame))
-        wire.offer(now, port, frame)
+        return wire.offer(now, port, frame)
 
     def _finish_control(self, now: int) -> None:
         commands, telemetry = self._reply if self._reply is not None else self.controller.finish()

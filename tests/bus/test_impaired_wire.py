@@ -70,7 +70,7 @@ def test_bursts_take_whole_runs_of_frames(enter: float, leave: float) -> None:
 
 
 @given(st.integers(0, 1000), st.integers(0, 80))
-@settings(max_examples=30)
+@settings(max_examples=30, deadline=None)
 def test_a_restored_wire_with_every_impairment_continues_identically(seed: int, steps: int) -> None:
     def loaded() -> Wire:
         return wire(

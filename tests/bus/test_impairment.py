@@ -5,7 +5,7 @@ import math
 from typing import Any
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
@@ -48,6 +48,7 @@ def test_certain_and_impossible_damage() -> None:
 
 
 @given(st.lists(st.sampled_from(["loss", "jitter", "bit_error_rate"]), unique=True))
+@settings(deadline=None)
 def test_an_injected_fault_leaves_the_draws_of_the_others_alone(injected: list[str]) -> None:
     def draws(m: ImpairmentModel, inject: list[str]) -> dict[str, list[object]]:
         seen: dict[str, list[object]] = {"loss": [], "jitter": [], "bit_error_rate": []}
@@ -235,6 +236,7 @@ EVERYTHING: dict[str, Any] = {
 
 
 @given(st.integers(0, 100), st.integers(0, 60))
+@settings(deadline=None)
 def test_a_restored_line_continues_identically(seed: int, steps: int) -> None:
     def loaded() -> tuple[ImpairmentModel, Line]:
         m = model(seed, **EVERYTHING)

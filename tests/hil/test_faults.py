@@ -175,6 +175,18 @@ def test_a_babbling_idiot_silences_the_drives_of_its_bus_only() -> None:
     assert missed(outcome) > 200 * 3
 
 
+def test_a_babbler_with_a_drives_identifier_is_taken_for_it(clean: Outcome) -> None:
+    """Its reports are all zero: the statusword of a drive that is not ready."""
+    knee = messages.STATE + description.load("hume").joint("left_knee").node_id
+    outcome, listener, _ = hung(
+        f"bus.left_leg.babble.identifier={knee}", "bus.left_leg.babble.length=24", "bus.left_leg.babble.rate=1500Hz",
+    )  # fmt: skip
+    assert sum(f == Frame(knee, bytes(24)) for _, _, _, f in listener.heard) > 500
+    drives = outcome.tables["drives"]["statusword.left_knee"]
+    assert drives[-1] != 0  # the drive's own word is still known by the port that it comes from
+    assert (outcome.tables["controller"]["q.left_knee"] != clean.tables["controller"]["q.left_knee"]).any()
+
+
 def test_a_drive_set_up_with_anothers_node_id_sends_in_its_name() -> None:
     robot = description.load("hume")
     knee, hip = robot.joint("left_knee"), robot.joint("left_hip")

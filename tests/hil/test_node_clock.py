@@ -3,7 +3,7 @@
 from fractions import Fraction
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hil.clock import tick_ns
@@ -20,6 +20,7 @@ def ticks(ppm: float, count: int) -> list[list[int]]:
 
 
 @given(st.floats(-1e5, 1e5), st.integers(1, 400))
+@settings(deadline=None)
 def test_tick_j_happens_at_its_own_time(ppm: float, count: int) -> None:
     times = [k * Fraction(10**9, RATE) + o for k, offsets in enumerate(ticks(ppm, count)) for o in offsets]
     own = Fraction(10**9, RATE) / (1 + Fraction(ppm) / 10**6)
@@ -47,6 +48,7 @@ def test_drift_that_ends_leaves_the_phase_that_has_built_up() -> None:
 
 
 @given(st.floats(-1e4, 1e4), st.integers(2, 400), st.integers(0, 20))
+@settings(deadline=None)
 def test_a_report_is_dated_by_the_clock_that_counted_it(ppm: float, count: int, back: int) -> None:
     clock = DriftingClock(1e9 / RATE, 0)
     clock.set(ppm)

@@ -10,7 +10,7 @@ from typing import Any
 
 import can
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from bus.frames import Frame
@@ -115,6 +115,7 @@ START = '{"run": {"seed": 1, "configuration": {"name": "x"}}}\n'
     (START + '{"time_ns": -1, "digest": "x"}\n', "line 2"), (START + '{"time_ns": 1, "frame": {"id": 1}}\n', "line 2"),
     (START + '{"time_ns": 1, "bus": "b", "port": 1, "frame": {"id": 4096, "data": ""}}\n', "line 2"),
     (START + '{"time_ns": 1, "key": "link.state.loss", "value": 1, "by": "me"}\n', "line 2"),
+    (START.replace('"x"', '"x", "robot": "atlas"') + '{"end_ns": 1, "digest": ""}\n', "no robot 'atlas'"),
     (START.replace("{\"name\"", "{\"nme\"") + '{"end_ns": 1, "digest": ""}\n', "unknown key 'nme'"),
     (START + "\udcff".encode("utf-8", "surrogateescape").decode("latin1") + "\n", "line 2"),
     (START + "[" * 5000 + "\n", "line 2"), (None, "No such file"),
@@ -128,7 +129,7 @@ def test_what_is_no_journal_is_refused(
 
 
 WORDS = ["time_ns", "end_ns", "digest", "key", "value", "by", "bus", "port", "frame", "id", "data", "fd", "x"]
-entries = st.recursive(
+ENTRIES = st.recursive(
     st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=5),
     lambda inner: st.lists(inner, max_size=3)
     | st.dictionaries(st.sampled_from(WORDS), inner, max_size=6),
@@ -136,7 +137,8 @@ entries = st.recursive(
 )
 
 
-@given(st.lists(st.binary(max_size=30) | entries.map(lambda e: json.dumps(e).encode()), max_size=4))
+@given(st.lists(st.binary(max_size=30) | ENTRIES.map(lambda e: json.dumps(e).encode()), max_size=4))
+@settings(deadline=None)
 def test_any_journal_is_read_or_refused(tmp_path_factory: pytest.TempPathFactory, lines: list[bytes]) -> None:
     directory = tmp_path_factory.getbasetemp()
     (directory / "journal.jsonl").write_bytes(START.encode() + b"".join(line + b"\n" for line in lines))
@@ -145,6 +147,19 @@ def test_any_journal_is_read_or_refused(tmp_path_factory: pytest.TempPathFactory
             assert isinstance(entry.get("time_ns", entry.get("end_ns")), int)
     except UserError as error:
         assert " is not of a run's journal" in str(error)
+
+
+def test_a_replay_that_is_interrupted_is_no_difference(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    meddled_with(tmp_path / "run")
+
+    def interrupted(*_: Any, **__: Any) -> Outcome:
+        return Outcome({"verdict": "failed", "reason": "ended by SIGINT", "log_digest": ""}, 3)
+
+    monkeypatch.setattr("hil.run.run", interrupted)
+    assert main(["replay", str(tmp_path / "run")]) == 3
+    assert capsys.readouterr().err == "hil: the replay did not get to its end: ended by SIGINT\n"
 
 
 def test_every_frame_survives_the_journal(tmp_path: Path) -> None:
