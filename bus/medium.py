@@ -40,13 +40,35 @@ class PortState(NamedTuple):
 
 
 class Delivery(NamedTuple):
-    """A frame that reaches every port but its sender's at ``time`` ns; bit n of ``missed`` is set for a port n that
-    it does not reach."""
+    """A frame that reaches every port but its sender's at ``time`` ns."""
 
     time: int
     sender: int
     frame: Frame
-    missed: int = 0
+
+    @property
+    def missed(self) -> int:
+        """A bit mask: bit n is set for a port n that it does not reach, see PartialDelivery."""
+        return 0
+
+
+class PartialDelivery(Delivery):
+    """A frame that does not reach all ports: some are cut, bus off, or have seen an error in it."""
+
+    _missed = 0
+
+    @property
+    def missed(self) -> int:
+        return self._missed
+
+    @classmethod
+    def of(cls, time: int, sender: int, frame: Frame, missed: int) -> Delivery:
+        """A delivery, partial only when ``missed`` is not zero."""
+        if not missed:
+            return Delivery(time, sender, frame)
+        one = cls(time, sender, frame)
+        one._missed = missed
+        return one
 
 
 class Medium:
@@ -117,7 +139,9 @@ class Medium:
                 delivered.append(delivery)
             else:
                 self._order += 1
-                heapq.heappush(self._later, (arrival, self._order, delivery._replace(time=arrival)))
+                heapq.heappush(
+                    self._later, (arrival, self._order, PartialDelivery.of(arrival, *delivery[1:], delivery.missed))
+                )
 
     # --- attempts that may fail ---------------------------------------------------------------------------------
 
@@ -180,7 +204,7 @@ class Medium:
             elif port in outcome.failed:
                 self._traffic_of(entry[4]).retransmitted += 1
         if outcome.frame is not None:
-            self._deliver(Delivery(now_ns, outcome.sender, outcome.frame, outcome.missed), delivered)
+            self._deliver(PartialDelivery.of(now_ns, outcome.sender, outcome.frame, outcome.missed), delivered)
         if outcome.jammed:
             self._jammed_since, self._free_at = outcome.idle, NEVER
 
