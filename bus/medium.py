@@ -40,19 +40,43 @@ class PortState(NamedTuple):
 
 
 class Delivery(NamedTuple):
-    """A frame that reaches every port but its sender's at ``time`` ns; bit n of ``missed`` is set for a port n that
-    it does not reach."""
+    """A frame that reaches every port but its sender's at ``time`` ns."""
 
     time: int
     sender: int
     frame: Frame
-    missed: int = 0
+
+    @property
+    def missed(self) -> int:
+        """A bit mask: bit n is set for a port n that it does not reach, see PartialDelivery."""
+        return 0
+
+
+class PartialDelivery(Delivery):
+    """A frame that does not reach all ports: some are cut, bus off, or have seen an error in it."""
+
+    _missed = 0
+
+    @property
+    def missed(self) -> int:
+        return self._missed
+
+    @classmethod
+    def of(cls, time: int, sender: int, frame: Frame, missed: int) -> Delivery:
+        """A delivery, partial only when ``missed`` is not zero."""
+        if not missed:
+            return Delivery(time, sender, frame)
+        one = cls(time, sender, frame)
+        one._missed = missed
+        return one
 
 
 def _changed(delivery: Delivery, change: Callable[[bytes], bytes]) -> Delivery:
     frame = delivery.frame
     data = change(frame.data)
-    return delivery if data is frame.data else delivery._replace(frame=frame._replace(data=data))
+    if data is frame.data:
+        return delivery
+    return PartialDelivery.of(delivery.time, delivery.sender, frame._replace(data=data), delivery.missed)
 
 
 class Medium:
@@ -117,7 +141,11 @@ class Medium:
             self.lost += 1
             self._traffic_of(delivery.frame).lost += 1
         elif self._line.next_ns <= delivery.time:
-            delivered += [due._replace(time=at) for at, due in self._line.pop_due(delivery.time)]
+            delivered += self._arrived(delivery.time)
+
+    def _arrived(self, now_ns: int) -> list[Delivery]:
+        """The impaired deliveries that are due."""
+        return [PartialDelivery.of(at, d.sender, d.frame, d.missed) for at, d in self._line.pop_due(now_ns)]
 
     # --- attempts that may fail ---------------------------------------------------------------------------------
 
@@ -180,7 +208,7 @@ class Medium:
             elif port in outcome.failed:
                 self._traffic_of(entry[4]).retransmitted += 1
         if outcome.frame is not None:
-            self._deliver(Delivery(now_ns, outcome.sender, outcome.frame, outcome.missed), delivered)
+            self._deliver(PartialDelivery.of(now_ns, outcome.sender, outcome.frame, outcome.missed), delivered)
         if outcome.jammed:
             self._jammed_since, self._free_at = outcome.idle, NEVER
 

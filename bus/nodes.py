@@ -181,7 +181,7 @@ class Nodes:
         def ns(time: int) -> int:
             return now - (-time // unit)
 
-        on_bus = [one for one in controllers if not one.counters.bus_off]
+        on_bus = [one for one in controllers if not (one.counters.bus_off or one.idle)]
         idle = ns(end if jammed else min((one.ready_at for one in on_bus), default=end))
         senders = [one for one in controllers if one.sent_at >= 0]
         receivers = [one for one in controllers if one.received is not None]
@@ -199,7 +199,7 @@ class Nodes:
         for one in controllers:
             for port in one.ports:
                 out.counters[port] = replace(one.counters)
-                out.ready_at[port] = ns(one.ready_at)
+                out.ready_at[port] = idle if one.idle else ns(one.ready_at)
                 out.events += [(ns(time), port, event) for time, event in one.events]
             if one.frame is not None and one.transmitter and one.counters.passive:
                 out.may_send_at[one.ports[0]] = ns(one.ready_at) + self._rates.ns(_SUSPEND)

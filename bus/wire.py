@@ -15,12 +15,12 @@ import heapq
 
 from bus.frames import Frame
 from bus.link import NEVER
-from bus.medium import QUEUE, Delivery, Entry, PortState, Sending
+from bus.medium import QUEUE, Delivery, Entry, PartialDelivery, PortState, Sending
 from bus.timing import INTERMISSION, TAIL, contender
 from bus.traffic import Traffic, Wait
 from bus.wire_faults import FaultyMedium
 
-__all__ = ["QUEUE", "Delivery", "PortState", "Traffic", "Wait", "Wire"]
+__all__ = ["QUEUE", "Delivery", "PartialDelivery", "PortState", "Traffic", "Wait", "Wire"]
 
 
 class Wire(FaultyMedium):
@@ -65,7 +65,7 @@ class Wire(FaultyMedium):
         if sending is not None and sending[0] <= now_ns:
             self._finish(now_ns, sending, delivered)
         if self._line.next_ns <= now_ns:
-            delivered += [delivery._replace(time=at) for at, delivery in self._line.pop_due(now_ns)]
+            delivered += self._arrived(now_ns)
         while self._foretold and self._foretold[0][0] <= now_ns:
             self._errors.append(self._foretold.pop(0))
         if self._sending is None and self._free_at <= now_ns:

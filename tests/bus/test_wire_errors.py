@@ -2,6 +2,7 @@
 
 import pickle
 from itertools import pairwise
+from typing import NamedTuple
 
 import pytest
 from hypothesis import given, settings
@@ -13,10 +14,21 @@ from bus.confinement import Counters, State
 from bus.frames import Frame
 from bus.link import NEVER
 from bus.timing import INTERMISSION, TAIL, frame_bits, frame_ns
-from bus.wire import Delivery, Wire
+from bus.wire import Wire
 from hil.streams import streams
 
 BIT = 1000  # ns, arbitration
+
+
+class Delivery(NamedTuple):
+    """``bus.wire.Delivery`` with its mask as a field, so that it is compared."""
+
+    time: int
+    sender: int
+    frame: Frame
+    missed: int = 0
+
+
 DELIMITER = 8
 CRTL, PROT, ACK, BUSOFF, RESTARTED = 0x4, 0x8, 0x20, 0x40, 0x100  # error classes of linux/can/error.h
 
@@ -29,7 +41,7 @@ def run(one: Wire, until: int = NEVER - 1, events: int = 100_000) -> list[Delive
     delivered: list[Delivery] = []
     while one.next_time() <= until and events:
         now = one.next_time()
-        delivered += one.advance(now)
+        delivered += [Delivery(*d, d.missed) for d in one.advance(now)]
         assert one.next_time() >= now
         events -= 1
     assert events, "the wire does not come to rest"
@@ -139,6 +151,32 @@ def test_an_error_in_the_last_bit_of_eof_costs_an_overload_frame_only() -> None:
     # its flag meets the intermission of the others, whose flags begin one bit later
     assert second.time == first.time + (1 + 6 + DELIMITER + INTERMISSION) * BIT + duration(second.frame)
     assert counts(one) == [(0, 0)] * 5
+
+
+@given(st.integers(0, 24 * 8 - 8), st.binary(min_size=24, max_size=24))  # the fixed stuff bits are far
+def test_an_error_in_the_data_phase_is_flagged_at_the_arbitration_rate(bit: int, data: bytes) -> None:
+    """The sender's flag begins after the wrong bit. The others read it at the data rate and find a stuff error within
+    six of its short bits; their flags outlast its own by up to 1.2 bits, so that the bus is free one bit later
+    when that is more than one."""
+    one, frame = wire(), Frame(0x123, data)
+    one.damage(0x123, 1, f"data:{bit}")
+    one.offer(0, 1, frame)
+    bits = encode(frame)
+    wrong = bits.place(f"data:{bit}")
+    assert wrong is not None
+    found = bits.fast.start * BIT + (wrong + 1 - bits.fast.start) * 200
+    seen = [*bits.levels[:wrong], 1 - bits.levels[wrong]]
+    run_of_zeros = next((n for n, level in enumerate(reversed(seen)) if level), len(seen))
+    if len(set(seen[-6:])) == 1:  # the wrong bit itself is their stuff error: the flags coincide
+        late = 0
+    else:
+        late = (6 - run_of_zeros) * 200
+    restart = found + (6 + DELIMITER + INTERMISSION) * BIT + (BIT if late >= BIT else 0)
+    (delivery,) = run(one)
+    assert delivery.time == restart + duration(frame)
+    first, *others = [(at, port) for at, port, e in one.error_frames() if e.classes & PROT]
+    assert sorted([first, *others])[0][0] == found
+    assert {at for at, port in [first, *others] if port != 1} == {found + late}
 
 
 def test_damage_strikes_the_occurrence_it_names() -> None:
@@ -379,6 +417,16 @@ def test_a_cut_node_neither_sends_receives_nor_acknowledges() -> None:
     assert one.next_time() == 10**9
     (delivery,) = run(one)
     assert delivery == Delivery(10**9 + duration(classical(0x001)), 1, classical(0x001))
+
+
+def test_who_misses_a_frame_is_told_also_when_it_comes_late_and_after_restoring() -> None:
+    one, frame = wire(delay="1ms"), classical(0x123)
+    one.cut(3, True, 0)
+    one.offer(0, 1, frame)
+    assert run(one, duration(frame)) == []
+    other = wire(delay="1ms")
+    other.restore(pickle.loads(pickle.dumps(one.snapshot())))
+    assert run(one) == run(other) == [Delivery(1_000_000 + duration(frame), 1, frame, missed=1 << 3)]
 
 
 def test_a_wire_stuck_in_a_frame_drives_its_sender_off_the_bus_and_the_others_passive() -> None:
