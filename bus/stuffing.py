@@ -66,19 +66,19 @@ def after_bits(state: int, value: int, width: int) -> tuple[int, int]:
     return position << 3, count
 
 
-_WORDS = {length: struct.Struct(f"{length // 2}H").unpack for length in range(0, 65, 2)}
+_WORDS = [struct.Struct(f"{length // 2}H").unpack for length in range(65)]
 
 
 def after_bytes(state: int, data: bytes) -> tuple[int, int]:
     """State and number of stuff bits after the bytes of ``data``, at most 64."""
+    if len(data) & 1:
+        state, count = after_bytes(state, data[:-1])
+        state = _BYTES[state][data[-1]]
+        return state, count + (state & 7)
     count = 0
     pairs = _PAIRS
-    odd = len(data) & 1
-    for word in _WORDS[len(data) - odd](data[:-1] if odd else data):
+    for word in _WORDS[len(data)](data):
         state = pairs[state][word]
-        count += state & 7
-    if odd:
-        state = _BYTES[state][data[-1]]
         count += state & 7
     return state, count
 

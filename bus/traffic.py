@@ -50,8 +50,10 @@ class Traffic:
             self._longest = wait
         if wait < self._shortest:
             self._shortest = wait
-        shift = wait.bit_length() - _FINE
-        bucket = shift << _FINE | wait >> shift if shift > 0 else wait
+        bucket = wait
+        if wait >> _FINE:
+            shift = wait.bit_length() - _FINE
+            bucket = shift << _FINE | wait >> shift
         buckets = self._buckets
         buckets[bucket] = buckets.get(bucket, 0) + 1
 
