@@ -22,7 +22,7 @@ from hil.run import Outcome, Request, run
 from hil.scenario import load
 
 SETTINGS = [
-    "duration=0.35s", "controller.enable_at=0.05s", "world.hoist.hold=1s", "bus.left_leg.jitter=20us",
+    "duration=0.35s", "controller.stand_at=0.05s", "world.hoist.hold=1s", "bus.left_leg.jitter=20us",
     "inject=[{at='0.1s', until='0.15s', key='link.command.delay', value='100us'}]",
 ]  # fmt: skip
 
