@@ -16,16 +16,19 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bus.frames import CAN_FD_LENGTHS, Frame, checked
-from bus.ports import (
+from bus.ports import PortError, PortServer, find_runs
+from bus.python_can import HilBus
+from bus.records import (
+    FD,
+    HEADER,
+    REMOTE,
+    VERSION,
     MalformedRecordError,
-    PortError,
-    PortServer,
-    ShmPort,
-    find_runs,
+    kind_and_tag,
     pack_frame,
     unpack_frame,
 )
-from bus.python_can import HilBus
+from bus.shm_port import ShmPort
 
 RUN = f"test-{os.getpid()}"
 CHANNEL = f"{RUN}/left_leg"
@@ -38,10 +41,12 @@ def frames(draw: st.DrawFn) -> Frame:
     data = draw(st.binary(min_size=length, max_size=length))
     return Frame(
         draw(st.integers(0, 2 ** (29 if extended else 11) - 1)),
-        data,
+        bytes(length) if (remote := not fd and draw(st.booleans())) else data,
         fd,
         fd and draw(st.booleans()),
         extended,
+        remote,
+        fd and draw(st.booleans()),
     )
 
 
@@ -150,7 +155,9 @@ def test_any_other_bytes_are_refused_or_a_record(record: bytes) -> None:
         time_ns, sender, frame = unpack_frame(record)
     except MalformedRecordError:
         return
-    assert pack_frame(frame, time_ns, sender)[:15] == record[:15] and frame.data == record[16:]
+    kind, tag = kind_and_tag(record)
+    again = pack_frame(frame, time_ns, sender, kind, tag)
+    assert again == record or (frame.remote and again[: HEADER.size] == record[: HEADER.size])
 
 
 # --- sockets ---
@@ -199,14 +206,17 @@ def test_a_client_that_does_not_read_never_blocks_the_run(server: PortServer, bu
 
 
 def test_malformed_records_are_dropped_and_counted(server: PortServer, bus: HilBus) -> None:
-    raw = socket.socket(fileno=os.dup(bus.fileno()))
+    raw = socket.socket(fileno=os.dup(bus._socket.fileno()))
     good = pack_frame(Frame(0x181, b"\x01"))
-    for bad in (b"x", good + b"\0", good[:-1], b"\xff" * 40, bytes(12) + b"\xff" + bytes(3), b"y" * 5000):
-        raw.send(bad)
+    kinds = [good[:16] + bytes([kind]) + good[17:] for kind in (1, 2, 3, 4, 5, 7, 9, 255)]
+    remote_fd = good[:17] + bytes([FD | REMOTE]) + good[18:]
+    bad = [b"x", good + b"\0", good[:-1], b"\xff" * 40, bytes(17) + b"\xff" + bytes(2), b"y" * 5000, remote_fd, *kinds]
+    for record in bad:
+        raw.send(record)
     raw.send(good)
     raw.close()
     assert server.poll() == [Frame(0x181, b"\x01")]
-    assert server.malformed == 6 and server.clients == 1
+    assert server.malformed == len(bad) and server.clients == 1
 
 
 def test_a_client_that_leaves_is_forgotten(server: PortServer) -> None:
@@ -221,8 +231,12 @@ def test_errors_are_sentences(server: PortServer, bus: HilBus) -> None:
         match=f"serves a bus '{RUN}/tail'; there is: .*{CHANNEL}",
     ):
         HilBus(f"{RUN}/tail")
-    with pytest.raises(can.CanOperationError, match="remote"):
-        bus.send(can.Message(arbitration_id=1, is_remote_frame=True))
+    with pytest.raises(can.CanOperationError, match="error frames are sent by controllers"):
+        bus.send(can.Message(arbitration_id=1, is_error_frame=True))
+    with pytest.raises(can.CanOperationError, match="no remote frames"):
+        bus.send(can.Message(arbitration_id=1, is_remote_frame=True, is_fd=True))
+    with pytest.raises(can.CanOperationError, match="at most 8 bytes"):
+        bus.send(can.Message(arbitration_id=1, is_remote_frame=True, dlc=9))
     with pytest.raises(can.CanOperationError, match="9 bytes"):
         bus.send(can.Message(arbitration_id=1, is_fd=True, data=bytes(9)))
     with pytest.raises(PortError, match="already"):
@@ -264,9 +278,10 @@ def test_runs_are_found_with_their_endpoint(server: PortServer) -> None:
         while not found.done():
             server.poll()
     assert found.result()[RUN] == {
-        "version": 1,
+        "version": VERSION,
         "run": RUN,
         "channel": "left_leg",
         "endpoint": "tcp/127.0.0.1:1",
+        "notice": None,
     }
     assert {"interface": "hil", "channel": CHANNEL} in can.detect_available_configs("hil")
