@@ -7,7 +7,7 @@ import can
 from bus.frames import ErrorFrame, Frame, InvalidFrameError, checked
 
 
-def to_message(frame: Frame, time_ns: int, channel: str, own: bool = False) -> can.Message:
+def to_message(frame: Frame, time_ns: int, channel: str | None, own: bool = False) -> can.Message:
     """python-can's form of ``frame``; ``own``: it comes back to its sender."""
     return can.Message(
         timestamp=time_ns * 1e-9,
@@ -25,7 +25,7 @@ def to_message(frame: Frame, time_ns: int, channel: str, own: bool = False) -> c
     )
 
 
-def to_error_message(error: ErrorFrame, time_ns: int, channel: str) -> can.Message:
+def to_error_message(error: ErrorFrame, time_ns: int, channel: str | None) -> can.Message:
     """python-can's form of an error frame, as its SocketCAN interface has it: the error classes
     (``linux/can/error.h``) are the identifier."""
     return can.Message(
