@@ -167,6 +167,8 @@ class PortServer:
                 record = client.connection.recv(LARGEST + 1)
             except BlockingIOError:
                 return
+            except ConnectionResetError:  # it left with messages unread; what it has sent follows
+                continue
             except OSError:
                 record = b""
             if not record:
@@ -286,12 +288,10 @@ class PortServer:
         except BlockingIOError:
             return False
         except OSError:
-            self._drop(client)
+            pass  # it has left; what it has sent is still to be read
         return True
 
     def _drop(self, client: _Client) -> None:
-        if client.left:
-            return
         client.left = True
         client.tasks.clear()
         client.untold.clear()
