@@ -10,7 +10,7 @@ from bus.frames import ErrorFrame, Frame, InvalidFrameError, checked
 def to_message(frame: Frame, time_ns: int, channel: str | None, own: bool = False) -> can.Message:
     """python-can's form of ``frame``; ``own``: it comes back to its sender."""
     return can.Message(
-        timestamp=time_ns * 1e-9,
+        timestamp=time_ns / 1e9,
         arbitration_id=frame.id,
         is_extended_id=frame.extended,
         is_remote_frame=frame.remote,
@@ -29,7 +29,7 @@ def to_error_message(error: ErrorFrame, time_ns: int, channel: str | None) -> ca
     """python-can's form of an error frame, as its SocketCAN interface has it: the error classes
     (``linux/can/error.h``) are the identifier."""
     return can.Message(
-        timestamp=time_ns * 1e-9,
+        timestamp=time_ns / 1e9,
         arbitration_id=error.classes,
         is_extended_id=False,
         is_error_frame=True,

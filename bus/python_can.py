@@ -361,7 +361,7 @@ class HilBus(can.BusABC):
                 if self._receive_own:
                     self._keep(to_message(frame, time_ns, self.channel, own=True))
                 if tag and (transmission := self._settle(tag)) is not None:
-                    transmission.set_result(time_ns * 1e-9)
+                    transmission.set_result(time_ns / 1e9)
             elif kind == ERROR:
                 time_ns, error = unpack_error(record)
                 if not self._ignore_errors:
