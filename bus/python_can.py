@@ -38,8 +38,8 @@ from bus.records import (
     FLUSH,
     FLUSHED,
     FRAME,
-    LARGEST,
     OWN,
+    RECORD_SIZE,
     STATE,
     STOP,
     TASK_FRAMES,
@@ -166,8 +166,9 @@ class HilBus(can.BusABC):
             return
         if sys.platform != "linux":
             raise can.CanInterfaceNotImplementedError("the hil interface needs Linux (abstract Unix sockets)")
-        self._changed = threading.Condition()  # guards all that follows, and tells of every change
-        self._reading = False  # a thread reads from the socket; others wait for what it finds
+        self._reader = threading.Lock()  # held by the thread that reads from the socket
+        self._changed = threading.Condition()  # the others wait here for what it finds; guards what is counted below
+        self._waiters = 0
         self._ended = False
         self._outstanding = 0  # frames sent of which it is not known what became of them
         self._transmissions: dict[int, Transmission] = {}
@@ -316,35 +317,47 @@ class HilBus(can.BusABC):
     def _wait(self, condition: Callable[[], Any], timeout: float | None) -> bool:
         """Read from the socket until ``condition``, at most ``timeout`` seconds; whether it holds."""
         deadline = None if timeout is None else time.monotonic() + timeout
+        left = timeout
         while not condition():
-            left = None if deadline is None else deadline - time.monotonic()
-            if left is not None and left < 0:
-                left = 0.0
-            if not self._pump(left) and left == 0.0 and not condition():
-                return False
+            if not self._pump(left) and left == 0.0:
+                return bool(condition())
+            if deadline is not None:
+                left = max(deadline - time.monotonic(), 0.0)
         return True
 
     def _pump(self, timeout: float | None) -> bool:
-        """Read one record, or wait for what another thread reads. Whether there was any."""
-        with self._changed:
-            if self._reading:
-                return self._changed.wait(timeout)
-            self._check()
-            self._reading = True
-        record: bytes | None = None
+        """Read one record, or wait for what another thread reads; False when ``timeout`` is over."""
+        if not self._reader.acquire(blocking=False):
+            return self._follow(timeout)
         try:
+            self._check()
             assert self._socket is not None
-            if self._readable.poll(None if timeout is None else math.ceil(timeout * 1000)):
+            record = b""  # as of one that has gone
+            try:
+                record = self._socket.recv(RECORD_SIZE + 1, socket.MSG_DONTWAIT)
+            except BlockingIOError:
+                if timeout == 0.0 or not self._readable.poll(None if timeout is None else math.ceil(timeout * 1000)):
+                    return False
                 with contextlib.suppress(OSError):
-                    record = b""
-                    record = self._socket.recv(LARGEST, socket.MSG_DONTWAIT)
+                    record = self._socket.recv(RECORD_SIZE + 1, socket.MSG_DONTWAIT)
+            except OSError:
+                pass
+            self._take(record)
+            return True
         finally:
-            with self._changed:
-                self._reading = False
-                if record is not None:
-                    self._take(record)
-                self._changed.notify_all()
-        return record is not None
+            self._reader.release()
+            if self._waiters:
+                with self._changed:
+                    self._changed.notify_all()
+
+    def _follow(self, timeout: float | None) -> bool:
+        """Wait until the thread that reads has read something or has stopped."""
+        with self._changed:
+            self._waiters += 1
+            try:
+                return not self._reader.locked() or self._changed.wait(timeout)
+            finally:
+                self._waiters -= 1
 
     def _take(self, record: bytes) -> None:
         """Sort in what came."""
@@ -381,7 +394,8 @@ class HilBus(can.BusABC):
         self._inbox.append(message)
 
     def _settle(self, tag: int) -> Transmission | None:
-        self._outstanding -= 1
+        with self._changed:
+            self._outstanding -= 1
         return self._transmissions.pop(tag, None)
 
     def _end(self) -> None:
