@@ -32,7 +32,8 @@ from can.broadcastmanager import (
 
 from bus.can_messages import to_error_message, to_frame, to_message
 from bus.frames import Frame
-from bus.ports import WINDOW, PortError, connect, served
+from bus.port_client import WINDOW
+from bus.ports import PortError, connect, served
 from bus.records import (
     ERROR,
     FLUSH,

@@ -21,7 +21,8 @@ from hypothesis import strategies as st
 from bus.can_messages import to_frame, to_message
 from bus.frames import CAN_FD_LENGTHS, ErrorFrame, Frame, checked
 from bus.periodic import Task
-from bus.ports import IN_FLIGHT, WINDOW, PortError, PortServer, find_runs
+from bus.port_client import IN_FLIGHT, WINDOW
+from bus.ports import PortError, PortServer, find_runs
 from bus.python_can import HilBus
 from bus.records import (
     FD,
@@ -286,7 +287,6 @@ def test_runs_are_found_with_their_endpoint(server: PortServer) -> None:
         "run": RUN,
         "channel": "left_leg",
         "endpoint": "tcp/127.0.0.1:1",
-        "notice": None,
     }
     assert {"interface": "hil", "channel": CHANNEL} in can.detect_available_configs("hil")
 
@@ -604,7 +604,7 @@ def test_a_client_takes_any_records(records: list[bytes]) -> None:
         with attached(server, channel=f"{RUN}/fuzz") as bus:
             (client,) = server._clients
             for record in records:
-                client.connection.send(record)
+                client.socket.send(record)
                 received = bus.recv(0)
                 assert received is None or isinstance(received, can.Message)
             while bus.recv(0) is not None:
