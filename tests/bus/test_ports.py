@@ -213,7 +213,7 @@ def test_a_client_that_does_not_read_never_blocks_the_run(server: PortServer, bu
 
 
 def test_malformed_records_are_dropped_and_counted(server: PortServer, bus: HilBus) -> None:
-    raw = socket.socket(fileno=os.dup(bus._socket.fileno()))
+    raw = socket.socket(fileno=os.dup(bus._connection._socket.fileno()))
     good = pack_frame(Frame(0x181, b"\x01"))
     kinds = [good[:16] + bytes([kind]) + good[17:] for kind in (1, 2, 3, 4, 5, 7, 9, 255)]
     remote_fd = good[:17] + bytes([FD | REMOTE]) + good[18:]
