@@ -7,6 +7,7 @@ import struct
 from collections import deque
 
 from bus.frames import Frame
+from bus.link import NEVER
 from bus.periodic import Task
 from bus.records import (
     FLUSH,
@@ -30,6 +31,7 @@ from bus.records import (
 WINDOW = 64  # frames of a client whose fate it does not know
 IN_FLIGHT = 16  # frames of a client that wait in the controller
 _UNSEEN_NS = 1_000_000_000  # bus time after which a frame that was not on the bus is given up
+_RETRY_NS = 1_000_000  # for a full socket
 _MAX_TASKS = 64
 _MAX_RECORDS = 2 * WINDOW  # that it is heard for at a time
 
@@ -62,15 +64,21 @@ class Client:
         self._untold: deque[bytes] = deque()  # about its own frames, not yet taken by its socket
         self._tasks: dict[int, Task] = {}
         self._state: ControllerState | None = None  # as it was told
+        self._asked_ns = 0
 
     @property
     def idle(self) -> bool:
         """Nothing that it has sent is left to do."""
         return not (self._backlog or self._flying or self._tasks or self._untold)
 
-    def next_ns(self) -> int | None:
-        """Bus time at which a periodic frame is due next, None without periodic sending."""
-        return min((task.next_ns for task in self._tasks.values()), default=None)
+    def next_ns(self) -> int:
+        """Bus time at which ``due`` should be asked again even if nothing happens until then; NEVER if not."""
+        times = [task.next_ns for task in self._tasks.values()]
+        if self._flying:
+            times.append(self._flying[0][2] + _UNSEEN_NS)
+        if self._untold:
+            times.append(self._asked_ns + _RETRY_NS)
+        return min(times, default=NEVER)
 
     def hear(self, now_ns: int) -> None:
         """Take what it has sent. Never blocks; ``left`` is set when it has gone."""
@@ -123,6 +131,7 @@ class Client:
 
     def due(self, now_ns: int) -> list[Frame]:
         """The frames that are to be offered to the bus now."""
+        self._asked_ns = now_ns
         flying, backlog, frames = self._flying, self._backlog, []
         while flying and flying[0][2] <= now_ns - _UNSEEN_NS:
             self._tell_fate(UNSEEN, flying.popleft()[0], now_ns)
