@@ -214,11 +214,11 @@ class PortConnection:
                 time_ns, _, frame = unpack_frame(record)
                 self._keep(to_message(frame, time_ns, self._name))
             elif kind == OWN:
-                time_ns, _, frame = unpack_frame(record)
                 if self._receive_own:
+                    time_ns, _, frame = unpack_frame(record)
                     self._keep(to_message(frame, time_ns, self._name, own=True))
                 if tag and (transmission := self._settle(tag)) is not None:
-                    transmission.set_result(time_ns / 1e9)
+                    transmission.set_result(int.from_bytes(record[:8], "little", signed=True) / 1e9)
             elif kind == ERROR:
                 time_ns, error = unpack_error(record)
                 if not self._ignore_errors:
