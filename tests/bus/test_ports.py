@@ -160,12 +160,12 @@ def test_error_frames_arrive_as_from_socketcan(server: PortServer, bus: HilBus) 
 
 def test_state_and_error_counters_are_the_controllers(server: PortServer, bus: HilBus) -> None:
     assert (bus.state, bus.error_counters) == (can.BusState.ACTIVE, (0, 0))
-    for tec, rec, number, state in ((96, 0, 0, can.BusState.ACTIVE), (128, 3, 1, can.BusState.PASSIVE),
-                                    (256, 0, 2, can.BusState.ERROR), (0, 0, 0, can.BusState.ACTIVE)):  # fmt: skip
+    for tec, rec, number, state in ((96, 0, 1, can.BusState.ACTIVE), (128, 3, 2, can.BusState.PASSIVE),
+                                    (256, 0, 3, can.BusState.ERROR), (0, 0, 0, can.BusState.ACTIVE)):  # fmt: skip
         server.set_state(tec, rec, number)
         server.poll()
         assert (bus.state, bus.error_counters) == (state, (tec, rec))
-    server.set_state(130, 7, 1)
+    server.set_state(130, 7, 2)
     with attached(server) as late:
         assert (late.state, late.error_counters) == (can.BusState.PASSIVE, (130, 7))
 

@@ -31,7 +31,7 @@ def test_an_error_on_a_bus_is_recorded_and_told_as_the_tools_controller_has_it(t
             system.run_until(5 * _MS)
             system._note_error(left, 5 * _MS + 1, 1, ErrorFrame(0x4, bytes(8)))  # of a joint's controller
             system._note_error(left, 5 * _MS + 2, tools, error)
-            system.tap.set_state(left, 136, 9, 1)
+            system.tap.set_state(left, 136, 9, 2)
             system.run_until(10 * _MS)
             heard = []
             while (message := bus.recv(0)) is not None:
