@@ -229,7 +229,9 @@ def test_python_can_reads_a_line_back(time_ns: int, frame: Frame | ErrorFrame) -
         assert read.is_error_frame
 
 
-@pytest.mark.parametrize("body, kind", [("123#R4", "remote"), ("001##6AB", "data"), ("20000088#0000040800000809", None)])
+@pytest.mark.parametrize("body, kind", [
+    ("123#R4", "remote"), ("001##6AB", "data"), ("20000088#0000040800000809", None),
+])  # fmt: skip
 def test_cantools_reads_a_line(body: str, kind: str | None) -> None:
     """It passes over error frames, and keeps no DLC of remote frames."""
     read = Parser(io.StringIO()).parse(f"(1.000000023) left_leg {body}")

@@ -33,7 +33,7 @@ def test_frames_travel_both_ways(server: PortServer, bus: HilBus) -> None:
 
 
 def test_filters_timeout_and_fileno(server: PortServer, bus: HilBus) -> None:
-    assert bus.recv(0) is None and bus.recv(0.01) is None
+    assert bus.recv(0) is None and bus.recv(0.01) is None and bus.recv(-1.0) is None
     bus.set_filters([{"can_id": 0x182, "can_mask": 0x7FF}])
     for identifier in (0x181, 0x182, 0x183):
         server.broadcast(0, 1, Frame(identifier, b""))

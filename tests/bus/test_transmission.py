@@ -197,3 +197,20 @@ def test_what_is_under_way_when_the_emulation_ends_fails(server: PortServer, bus
     server.close()
     with pytest.raises(can.CanOperationError, match="the emulation has ended"):
         sent.result(1.0)
+
+
+def test_asyncio_is_told_once_that_the_emulation_has_ended(server: PortServer, bus: HilBus) -> None:
+    """A descriptor that stayed readable for ever would keep the loop busy."""
+    told: list[str] = []
+
+    async def listen() -> None:
+        loop = asyncio.get_running_loop()
+        loop.set_exception_handler(lambda _, context: told.append(str(context["exception"])))
+        with can.Notifier(bus, [], loop=loop):
+            server.close()
+            for _ in range(100):
+                await asyncio.sleep(0)
+
+    asyncio.run(listen())
+    assert told == ["the emulation has ended"]
+    assert select.select([bus], [], [], 0)[0] == []
