@@ -38,6 +38,7 @@ class Request:
     zenoh: str | None = None  # endpoint of a router to join
     report: bool = True
     journal: Any = None  # a hil.journal.Journal to write to instead of the one of the directory
+    log_formats: tuple[str, ...] = ()  # of each bus, beside candump's: of bus.logs.FORMATS
 
 
 @dataclass
@@ -135,7 +136,7 @@ def assemble(request: Request, wrap: Callable[[str, Any], Any] = lambda _, node:
             "drives": [f"{what}.{j}" for what in ("statusword", "error", "round_trip") for j in robot.joint_names],
             "bus": [f"{what}.{b}" for what in ("load", "sent", "lost", "errors") for b in buses],
         }
-        recorder = Recorder(request.out, channels, buses)
+        recorder = Recorder(request.out, channels, buses, log_formats=request.log_formats)
         journal = request.journal if request.journal is not None else Journal(request.out)
         assembly = None
         try:

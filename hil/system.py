@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 
 from bus import messages
-from bus.frames import Frame
+from bus.frames import ErrorFrame, Frame
 from bus.gateway import Gateway
 from bus.link import NEVER, Link
 from bus.wire import Wire
@@ -66,7 +66,10 @@ class Tap(Protocol):
     """Tools attached to the buses from outside: they see every frame and may send."""
 
     def broadcast(self, bus: int, time_ns: int, sender: int, frame: Frame) -> None: ...
+    def broadcast_error(self, bus: int, time_ns: int, sender: int, error: ErrorFrame) -> None: ...
+    def set_state(self, bus: int, tec: int, rec: int, state: int) -> None: ...
     def poll(self) -> list[tuple[int, Frame]]: ...
+    def refused(self, bus: int, frame: Frame) -> None: ...
 
 
 class System:
@@ -173,6 +176,8 @@ class System:
             if wire.next_time() == now:
                 for delivery in wire.advance(now):
                     self._deliver(b, now, delivery.sender, delivery.frame, delivery.missed)
+                for at, port, error in wire.error_frames():
+                    self._note_error(b, at, port, error)
         if self.state_link.next_time() == now:
             for arrival, (source, can_id, data) in self.state_link.pop_due(now):
                 self._arrived.append((arrival, source, can_id, data))
@@ -209,6 +214,13 @@ class System:
                 self.state_link.send(now, item, 8 * len(frame.data))
                 if frame.id & 0x780 == messages.STATE and sound:
                     self._note_state(b, sender, frame.data)
+
+    def _note_error(self, b: int, now: int, port: int, error: ErrorFrame) -> None:
+        """What the tools' controller tells of an error on the bus; other nodes hear it from their own."""
+        if port == self._tool_port[b]:
+            self.recorder.frame(now, b, error)
+            if self.tap is not None:
+                self.tap.broadcast_error(b, now, port, error)
 
     def _tick_joints(self, now: int) -> None:
         world = self.world
@@ -252,6 +264,8 @@ class System:
         while self.requests:  # filled by a thread of Zenoh's
             self.requests.popleft()()
         if self.tap is not None:
+            for b, wire in enumerate(self.wires):
+                self.tap.set_state(b, *wire.ports_state(self._tool_port[b]))
             for bus, frame in self.tap.poll():
                 self._offer_of_tool(now, bus, frame)
         self.controller.start(now, self._arrived)
@@ -266,7 +280,10 @@ class System:
         wire, port = self.wires[bus], self._tool_port[bus]
         self.tool_frames += 1
         self.journal.write(frame_entry(now, wire.name, port, frame))
-        return wire.offer(now, port, frame)
+        taken = wire.offer(now, port, frame)
+        if not taken and self.tap is not None:
+            self.tap.refused(bus, frame)
+        return taken
 
     def _finish_control(self, now: int) -> None:
         commands, telemetry = self._reply if self._reply is not None else self.controller.finish()

@@ -1,159 +1,25 @@
-"""Ports in shared memory and on sockets, from this process and from another."""
+"""Ports on sockets: attaching, hearing, errors and state."""
 
-import mmap
 import os
 import select
 import socket
-import struct
 import subprocess
 import sys
-from collections import deque
-from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 
 import can
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
-from bus.frames import CAN_FD_LENGTHS, Frame, checked
-from bus.ports import (
-    MalformedRecordError,
-    PortError,
-    PortServer,
-    ShmPort,
-    find_runs,
-    pack_frame,
-    unpack_frame,
-)
+from bus.frames import ErrorFrame, Frame
+from bus.ports import PortError, PortServer, find_runs
 from bus.python_can import HilBus
-
-RUN = f"test-{os.getpid()}"
-CHANNEL = f"{RUN}/left_leg"
-
-
-@st.composite
-def frames(draw: st.DrawFn) -> Frame:
-    extended, fd = draw(st.booleans()), draw(st.booleans())
-    length = draw(st.sampled_from(CAN_FD_LENGTHS if fd else range(9)))
-    data = draw(st.binary(min_size=length, max_size=length))
-    return Frame(
-        draw(st.integers(0, 2 ** (29 if extended else 11) - 1)),
-        data,
-        fd,
-        fd and draw(st.booleans()),
-        extended,
-    )
-
-
-@pytest.fixture
-def server() -> Iterator[PortServer]:
-    server = PortServer("left_leg", run=RUN, endpoint="tcp/127.0.0.1:1")
-    yield server
-    server.close()
-
-
-@pytest.fixture
-def bus(server: PortServer) -> Iterator[HilBus]:
-    with attached(server) as bus:
-        yield bus
-
-
-class attached:
-    """A bus that attaches while the server polls: its greeting comes with the poll."""
-
-    def __init__(self, server: PortServer, **options: object) -> None:
-        self.server, self.options = server, options
-
-    def __enter__(self) -> HilBus:
-        from concurrent.futures import ThreadPoolExecutor
-
-        before = self.server.clients
-        with ThreadPoolExecutor(1) as pool:
-            opening = pool.submit(lambda: HilBus(CHANNEL, **self.options))  # type: ignore[arg-type]
-            while self.server.clients == before and not opening.done():
-                self.server.poll()
-            self.bus = opening.result()
-        return self.bus
-
-    def __exit__(self, *_: object) -> None:
-        self.bus.shutdown()
-
-
-# --- shared memory ---
-
-
-@given(st.lists(st.one_of(frames(), st.none()), max_size=120))
-def test_a_ring_is_a_bounded_queue(steps: list[Frame | None]) -> None:
-    """None: the other side reads all. Against a deque."""
-    memory = memoryview(mmap.mmap(-1, ShmPort.SIZE))
-    ours, theirs = ShmPort(memory), ShmPort(memory, firmware=True)
-    for sender, receiver in ((ours, theirs), (theirs, ours)):
-        model: deque[Frame] = deque()
-        for step in steps:
-            if step is None:
-                assert receiver.recv_frames() == list(model)
-                model.clear()
-            elif len(model) < 32:
-                assert sender.send_frame(step)
-                model.append(step)
-            else:
-                assert not sender.send_frame(step)
-        assert receiver.recv_frames() == list(model)
-        assert sender.recv_frames() == []
-
-
-def test_shared_memory_carries_frames_between_processes() -> None:
-    memory = mmap.mmap(-1, ShmPort.SIZE)
-    port = ShmPort(memoryview(memory))
-    frame = Frame(0x200, bytes(range(64)))
-    port.send_frame(frame)
-    child = os.fork()
-    if child == 0:
-        firmware = HilBus(channel="left_leg", port=ShmPort(memoryview(memory), firmware=True))
-        for received in firmware.recv_frames():
-            firmware.send_frame(received._replace(id=0x181))
-        os._exit(0)
-    assert os.waitpid(child, 0)[1] == 0
-    assert port.recv_frames() == [frame._replace(id=0x181)]
-
-
-@pytest.mark.parametrize("frame", [Frame(0x800, b""), Frame(1, bytes(9)), Frame(1, bytes(100)),
-                                   Frame(1, b"", fd=False, brs=True)])  # fmt: skip
-def test_what_no_controller_could_send_is_dropped_and_counted(frame: Frame) -> None:
-    memory = memoryview(mmap.mmap(-1, ShmPort.SIZE))
-    ours, theirs = ShmPort(memory), ShmPort(memory, firmware=True)
-    theirs.send_frame(frame)
-    theirs.send_frame(Frame(0x181, b"\x01"))
-    assert ours.recv_frames() == [Frame(0x181, b"\x01")] and ours.malformed == 1
-
-
-@given(st.binary(min_size=ShmPort.SIZE // 2, max_size=ShmPort.SIZE // 2))
-def test_a_ring_of_arbitrary_content_gives_valid_frames_or_none(content: bytes) -> None:
-    memory = memoryview(mmap.mmap(-1, ShmPort.SIZE))
-    memory[ShmPort.SIZE // 2 :] = content
-    memory[ShmPort.SIZE // 2 : ShmPort.SIZE // 2 + 16] = struct.pack("<qq", 40, 8 + content[0] % 40)
-    for frame in ShmPort(memory).recv_frames():
-        assert checked(frame) is frame
-
-
-# --- records ---
-
-
-@given(frames(), st.integers(0, 2**62), st.integers(0, 255))
-def test_a_record_is_read_back(frame: Frame, time_ns: int, sender: int) -> None:
-    assert unpack_frame(pack_frame(frame, time_ns, sender)) == (time_ns, sender, frame)
-
-
-@given(st.binary(max_size=90))
-def test_any_other_bytes_are_refused_or_a_record(record: bytes) -> None:
-    try:
-        time_ns, sender, frame = unpack_frame(record)
-    except MalformedRecordError:
-        return
-    assert pack_frame(frame, time_ns, sender)[:15] == record[:15] and frame.data == record[16:]
-
-
-# --- sockets ---
+from bus.records import (
+    FD,
+    REMOTE,
+    VERSION,
+    pack_frame,
+)
+from tests.support.ports import CHANNEL, RUN, attached, message
 
 
 def test_frames_travel_both_ways(server: PortServer, bus: HilBus) -> None:
@@ -167,7 +33,7 @@ def test_frames_travel_both_ways(server: PortServer, bus: HilBus) -> None:
 
 
 def test_filters_timeout_and_fileno(server: PortServer, bus: HilBus) -> None:
-    assert bus.recv(0) is None and bus.recv(0.01) is None
+    assert bus.recv(0) is None and bus.recv(0.01) is None and bus.recv(-1.0) is None
     bus.set_filters([{"can_id": 0x182, "can_mask": 0x7FF}])
     for identifier in (0x181, 0x182, 0x183):
         server.broadcast(0, 1, Frame(identifier, b""))
@@ -199,14 +65,17 @@ def test_a_client_that_does_not_read_never_blocks_the_run(server: PortServer, bu
 
 
 def test_malformed_records_are_dropped_and_counted(server: PortServer, bus: HilBus) -> None:
-    raw = socket.socket(fileno=os.dup(bus.fileno()))
+    raw = socket.socket(fileno=os.dup(bus._connection._socket.fileno()))
     good = pack_frame(Frame(0x181, b"\x01"))
-    for bad in (b"x", good + b"\0", good[:-1], b"\xff" * 40, bytes(12) + b"\xff" + bytes(3), b"y" * 5000):
-        raw.send(bad)
+    kinds = [good[:16] + bytes([kind]) + good[17:] for kind in (1, 2, 3, 4, 5, 7, 9, 255)]
+    remote_fd = good[:17] + bytes([FD | REMOTE]) + good[18:]
+    bad = [b"x", good + b"\0", good[:-1], b"\xff" * 40, bytes(17) + b"\xff" + bytes(2), b"y" * 5000, remote_fd, *kinds]
+    for record in bad:
+        raw.send(record)
     raw.send(good)
     raw.close()
     assert server.poll() == [Frame(0x181, b"\x01")]
-    assert server.malformed == 6 and server.clients == 1
+    assert server.malformed == len(bad) and server.clients == 1
 
 
 def test_a_client_that_leaves_is_forgotten(server: PortServer) -> None:
@@ -221,8 +90,12 @@ def test_errors_are_sentences(server: PortServer, bus: HilBus) -> None:
         match=f"serves a bus '{RUN}/tail'; there is: .*{CHANNEL}",
     ):
         HilBus(f"{RUN}/tail")
-    with pytest.raises(can.CanOperationError, match="remote"):
-        bus.send(can.Message(arbitration_id=1, is_remote_frame=True))
+    with pytest.raises(can.CanOperationError, match="error frames are sent by controllers"):
+        bus.send(can.Message(arbitration_id=1, is_error_frame=True))
+    with pytest.raises(can.CanOperationError, match="no remote frames"):
+        bus.send(can.Message(arbitration_id=1, is_remote_frame=True, is_fd=True))
+    with pytest.raises(can.CanOperationError, match="at most 8 bytes"):
+        bus.send(can.Message(arbitration_id=1, is_remote_frame=True, dlc=9))
     with pytest.raises(can.CanOperationError, match="9 bytes"):
         bus.send(can.Message(arbitration_id=1, is_fd=True, data=bytes(9)))
     with pytest.raises(PortError, match="already"):
@@ -257,16 +130,83 @@ def test_attaching_from_another_process_by_name(server: PortServer) -> None:
 
 
 def test_runs_are_found_with_their_endpoint(server: PortServer) -> None:
-    from concurrent.futures import ThreadPoolExecutor
-
     with ThreadPoolExecutor(1) as pool:
         found = pool.submit(find_runs)
         while not found.done():
             server.poll()
     assert found.result()[RUN] == {
-        "version": 1,
+        "version": VERSION,
         "run": RUN,
         "channel": "left_leg",
         "endpoint": "tcp/127.0.0.1:1",
     }
     assert {"interface": "hil", "channel": CHANNEL} in can.detect_available_configs("hil")
+
+
+def test_error_frames_arrive_as_from_socketcan(server: PortServer, bus: HilBus) -> None:
+    """Whatever the filters are, as python-can's SocketCAN interface sets CAN_RAW_ERR_FILTER to all classes."""
+    bus.set_filters([{"can_id": 0x182, "can_mask": 0x7FF}])
+    with attached(server, ignore_rx_error_frames=True) as deaf:
+        server.broadcast_error(1_500, ErrorFrame(0x88, bytes.fromhex("0000040800000809")), 2)
+        server.broadcast(2_000, 1, Frame(0x182, b""))
+        error = bus.recv(1.0)
+        assert error is not None and error.is_error_frame and not error.is_extended_id and not error.is_fd
+        assert (error.arbitration_id, error.data.hex(), error.dlc) == (0x88, "0000040800000809", 8)
+        assert error.timestamp == pytest.approx(1.5e-6, abs=1e-15)
+        for one in (bus, deaf):
+            received = one.recv(1.0)
+            assert received is not None and received.arbitration_id == 0x182
+
+
+def test_state_and_error_counters_are_the_controllers(server: PortServer, bus: HilBus) -> None:
+    assert (bus.state, bus.error_counters) == (can.BusState.ACTIVE, (0, 0))
+    for tec, rec, number, state in ((96, 0, 1, can.BusState.ACTIVE), (128, 3, 2, can.BusState.PASSIVE),
+                                    (256, 0, 3, can.BusState.ERROR), (0, 0, 0, can.BusState.ACTIVE)):  # fmt: skip
+        server.set_state(tec, rec, number)
+        server.poll()
+        assert (bus.state, bus.error_counters) == (state, (tec, rec))
+    server.set_state(130, 7, 2)
+    with attached(server) as late:
+        assert (late.state, late.error_counters) == (can.BusState.PASSIVE, (130, 7))
+
+
+def test_a_port_that_only_listens_does_not_send(server: PortServer, bus: HilBus) -> None:
+    bus.state = can.BusState.PASSIVE
+    assert bus.state is can.BusState.PASSIVE
+    with pytest.raises(can.CanOperationError, match="only listens"):
+        bus.send(message())
+    with pytest.raises(ValueError, match=r"BusState\.ACTIVE"):
+        bus.state = can.BusState.ERROR
+    bus.state = can.BusState.ACTIVE
+    bus.send(message())
+    assert len(server.poll()) == 1
+
+
+def test_the_notice_is_given_once_and_with_the_first_frame(caplog: pytest.LogCaptureFixture) -> None:
+    server = PortServer("left_leg", run=RUN, notice="this changes everything")
+    try:
+        with attached(server) as bus:
+            bus.recv(0)
+            assert caplog.messages == [] and server.first_sender is None
+            bus.send(message())
+            bus.send(message())
+            server.poll()
+            assert caplog.messages == [f"hil {CHANNEL}: this changes everything"]
+            assert server.first_sender == os.getpid()
+    finally:
+        server.close()
+
+
+def test_not_more_clients_than_it_can_serve(server: PortServer) -> None:
+    address = f"\0hume-hil/{os.getuid()}/{CHANNEL}"
+    connections = []
+    for _ in range(70):
+        connection = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        connection.connect(address)
+        connections.append(connection)
+        server.poll()
+    assert server.clients == 64
+    for connection in connections:
+        connection.close()
+    server.poll()
+    assert server.clients == 0

@@ -19,12 +19,13 @@ from hil.injection import Injector, injectable
 from hil.journal import Journal
 from hil.run import Outcome, Request, assemble, run
 from hil.scenario import load, parse_value
+from hil.system import Tap
 from robots import description
 
 HUNG = ["duration=0.4s", "controller.stand_at=0.05s", "world.hoist.hold=1s"]  # the robot hangs: no fault ends the run
 
 
-class Listener:
+class Listener(Tap):
     """In the place of attached tools: notes (bus, time, sender, frame)."""
 
     def __init__(self) -> None:
@@ -119,7 +120,8 @@ def test_a_corrupted_word_is_no_fact_about_the_drive_or_the_round_trip(clean: Ou
     outcome, _, system = hung("bus.left_leg.corruption=0.05", "link.command.corruption=0.02", "controller.stand_at=9s")
     assert system.wires[1].counts["corrupted"] > 50
     for name in ("statusword.left_knee", "statusword.left_hip"):
-        states, known = (set(run.tables["drives"][name].astype(int) & ~messages.Statusword.LIMITED) for run in (outcome, clean))
+        words = [run.tables["drives"][name].astype(int) for run in (outcome, clean)]
+        states, known = (set(word & ~messages.Statusword.LIMITED) for word in words)
         assert states <= known  # a drive that was sent a corrupted set-point limits it
     outcome, _, _ = hung("link.command.corruption=0.02", "bus.left_leg.corruption=0.02", seed=5)
     assert round_trips(outcome, "left").max() < 5e-3

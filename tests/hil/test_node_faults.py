@@ -9,6 +9,7 @@ from bus import messages
 from bus.frames import Frame
 from hil.run import Outcome, Request, run
 from hil.scenario import load
+from hil.system import Tap
 from robots import description
 
 MS = 1_000_000
@@ -19,7 +20,7 @@ STATES = {name: messages.STATE + ROBOT.joint(name).node_id for name in ROBOT.bus
 OTHERS = [name for name in STATES if name != "left_knee"]
 
 
-class Listener:
+class Listener(Tap):
     """In the place of attached tools: notes (time, identifier) of the left leg's bus."""
 
     def __init__(self) -> None:
