@@ -10,15 +10,6 @@ from bus import messages
 from bus.messages import Controlword, GainSet, Mode, Setpoint, State, Statusword
 from robots.description import Bus, Robot
 
-_UNITS = {
-    "position": (messages.RADIAN, "rad"),
-    "velocity": (messages.RADIAN_PER_SECOND, "rad/s"),
-    "torque": (messages.NEWTON_METRE, "N m"),
-    "torque_limit": (messages.TORQUE_LIMIT, "N m"),
-    "current": (messages.AMPERE, "A"),
-    "motor_velocity": (messages.MOTOR_RADIAN_PER_SECOND, "rad/s"),
-    "temperature": (1.0, "degC"),
-}
 # The statusword as signals of its own, so that a drive's state has its name whatever the other bits are.
 _STATUSWORD_BITS = (("drive_state", 0, 7), ("limited", 11, 1), ("foot_contact", 14, 1))
 _FD_BASE_FRAME = 14  # VFrameFormat StandardCAN_FD
@@ -50,7 +41,7 @@ def _signals(names: tuple[str, ...], layout: str, first_bit: int = 0, prefix: st
             for part, offset, width in _STATUSWORD_BITS:
                 yield _Signal(prefix + part, start + offset, width, False)
         else:
-            yield _Signal(prefix + name, start, bits, code.islower(), *_UNITS.get(name, (1.0, "")))
+            yield _Signal(prefix + name, start, bits, code.islower(), *messages.UNITS.get(name, (1.0, "")))
         start += bits
 
 

@@ -1,6 +1,6 @@
 """Every message on the joint buses: identifiers (CiA 301), layouts (little-endian), and their codecs.
 
-This module is the one definition; the DBC file is generated from it (``bus.dbc``).
+This module is the one definition; DBC files (``bus.dbc``) and EDS files (``joint_firmware.eds``) are generated from it.
 All physical values are fixed-point integers with the scales below.
 """
 
@@ -11,9 +11,13 @@ import struct
 from typing import NamedTuple
 
 # --- identifiers (CiA 301 pre-defined connection set) -------------------------------------------------------
+NMT = 0x000
+SYNC = 0x080
 EMERGENCY = 0x080  # + node id
 STATE = 0x180  # TPDO1 + node id
 COMMAND = 0x200  # RPDO1, one broadcast for all drives of the bus
+SDO_RESPONSE = 0x580  # + node id
+SDO_REQUEST = 0x600  # + node id
 HEARTBEAT = 0x700  # + node id
 
 # --- scales -------------------------------------------------------------------------------------------------
@@ -23,6 +27,15 @@ NEWTON_METRE = 1e-4  # N m per count
 TORQUE_LIMIT = 0.02  # N m per count, unsigned 16 bit
 AMPERE = 0.01  # A per count
 MOTOR_RADIAN_PER_SECOND = 1e-3  # rad/s per count, 16 bit
+UNITS = {  # scale and unit of every field that has one
+    "position": (RADIAN, "rad"),
+    "velocity": (RADIAN_PER_SECOND, "rad/s"),
+    "torque": (NEWTON_METRE, "N m"),
+    "torque_limit": (TORQUE_LIMIT, "N m"),
+    "current": (AMPERE, "A"),
+    "motor_velocity": (MOTOR_RADIAN_PER_SECOND, "rad/s"),
+    "temperature": (1.0, "degC"),
+}
 SLOTS = 3  # drives that one command frame can address
 
 

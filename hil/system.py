@@ -102,6 +102,7 @@ class System:
             for b, bus in enumerate(robot.buses)
             for port, name in enumerate(bus.joints, start=GATEWAY_PORT + 1)
         }
+        self._accepts = [self._acceptance(robot, b) for b in range(len(robot.buses))]
         self.gateway = Gateway(robot)
         self.state_link = Link("link.state", scenario.link.state, streams)
         self.command_link = Link("link.command", scenario.link.command, streams)
@@ -139,6 +140,14 @@ class System:
         names = self._controller_rows.signals
         self._com_columns = [names.index(n) for n in ("com.x", "com.z", "com_reference.x", "com_reference.z")]
         self._com_error = 0.0
+
+    def _acceptance(self, robot: Robot, b: int) -> dict[int, list[tuple[int, int]]]:
+        """The acceptance filters of a bus's drives: port and joint of those that receive an identifier."""
+        every = [(port, joint) for port, joint in enumerate(self._joints_of[b], start=GATEWAY_PORT + 1)]
+        accepts = dict.fromkeys((messages.NMT, messages.SYNC, messages.COMMAND), every)
+        for port, joint in every:
+            accepts[messages.SDO_REQUEST + robot.joints[joint].node_id] = [(port, joint)]
+        return accepts
 
     # --- running ------------------------------------------------------------------------------------------------
 
@@ -184,11 +193,13 @@ class System:
         self.recorder.frame(now, b, frame)
         if self.tap is not None:
             self.tap.broadcast(b, now, sender, frame)
-        if frame.id == messages.COMMAND:  # the acceptance filter of the drives' CAN controllers
-            for slot, joint in enumerate(self._joints_of[b]):
-                if sender != slot + 1:
+        receivers = self._accepts[b].get(frame.id)
+        if receivers is not None and not frame.extended:
+            for port, joint in receivers:
+                if sender != port:
                     self._inboxes[joint].append(frame)
-                if sender == GATEWAY_PORT:
+            if sender == GATEWAY_PORT:  # which sends commands alone
+                for slot, joint in enumerate(self._joints_of[b]):
                     self._note_round_trip(now, joint, slot, frame.data)
         if sender != GATEWAY_PORT:
             item = self.gateway.from_can(now, b, frame)
