@@ -138,6 +138,9 @@ class Communication:
         if frame.id == self._request_id:
             if self.state == NmtState.STOPPED:
                 return
+            if len(frame.data) != 8:
+                self.malformed += 1
+                return
             self._answer = Frame(self._response_id, b"", frame.fd, frame.brs)
             answer = self._sdo.request(frame.data, tick)
             if answer is not None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import struct
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from joint_firmware.object_dictionary import AbortCode, ObjectDictionary, SdoAbort
 
@@ -38,13 +38,9 @@ class SdoServer:
         self._timeout = timeout_ticks
         self._transfer: _Transfer | None = None
         self.deadline = NEVER  # tick at which the client has been silent for too long
-        self.malformed = 0  # requests that were not eight bytes long, and not answered
 
     def request(self, data: bytes, tick: int) -> bytes | None:
-        """The answer to a request, None when there is none to give."""
-        if len(data) != 8:
-            self.malformed += 1
-            return None
+        """The answer to a request of eight bytes, None when there is none to give."""
         command, index, sub = _HEAD.unpack_from(data)
         specifier = command >> 5
         transfer = self._transfer
@@ -137,10 +133,8 @@ class SdoServer:
 
     # --- state ----------------------------------------------------------------------------------------------
 
-    def snapshot(self) -> tuple[object, ...]:
-        transfer = None if self._transfer is None else tuple(self._transfer)
-        return transfer, self.deadline, self.malformed
+    def snapshot(self) -> Any:
+        return self._transfer, self.deadline
 
-    def restore(self, state: tuple[object, ...]) -> None:
-        transfer, self.deadline, self.malformed = state  # type: ignore[assignment]
-        self._transfer = None if transfer is None else _Transfer(*transfer)  # type: ignore[misc]
+    def restore(self, state: Any) -> None:
+        self._transfer, self.deadline = state
