@@ -82,6 +82,25 @@ class Statusword:
     LIMITED = 0x0800  # bit 11: internal limit active (current, torque, rate or position)
 
 
+class NmtState:
+    """States of a CANopen node (CiA 301), as its heartbeat tells them."""
+
+    INITIALISING = 0x00  # as heartbeat: the boot-up message
+    STOPPED = 0x04
+    OPERATIONAL = 0x05
+    PRE_OPERATIONAL = 0x7F
+
+
+class NmtCommand:
+    """What an NMT master may order."""
+
+    START = 0x01
+    STOP = 0x02
+    ENTER_PRE_OPERATIONAL = 0x80
+    RESET_NODE = 0x81
+    RESET_COMMUNICATION = 0x82
+
+
 class State(NamedTuple):
     """A drive's state, sent at every report (TPDO1, 24 bytes). SI units."""
 

@@ -52,6 +52,8 @@ def _complain(error: Exception) -> None:
 
 
 def _parser() -> argparse.ArgumentParser:
+    from hil import eds
+
     parser = _Parser(prog="hil", description="Hardware-in-the-loop style emulation of legged robots.")
     commands = parser.add_subparsers(required=True, metavar="COMMAND", parser_class=_Parser)
 
@@ -95,6 +97,8 @@ def _parser() -> argparse.ArgumentParser:
     inject.add_argument("--run", metavar="NAME", help="which run, when several are going on")
     inject.add_argument("--list", action="store_true", help="list the keys")
     inject.set_defaults(command=_inject)
+
+    eds.add_parser(commands)
     return parser
 
 

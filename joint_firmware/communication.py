@@ -5,11 +5,11 @@ Nothing here runs in a tick without a service: ``due`` tells the interrupt when 
 
 from __future__ import annotations
 
-from enum import IntEnum
 from typing import Any, Protocol
 
 from bus import messages
 from bus.frames import Frame
+from bus.messages import NmtCommand, NmtState
 from joint_firmware import protection
 from joint_firmware.object_dictionary import AbortCode, ObjectDictionary, SdoAbort
 from joint_firmware.objects import HISTORY
@@ -18,25 +18,6 @@ from joint_firmware.sdo import NEVER, SdoServer
 SDO_TIMEOUT_S = 5.0  # a person's debugger may be behind the client, and virtual time faster than it
 _EVENT_DRIVEN = 254  # transmission types from here on: sent when the drive sees fit
 _SYNCHRONOUS = 240  # greatest transmission type that counts SYNCs
-
-
-class NmtState(IntEnum):
-    """States of a node, as its heartbeat tells them."""
-
-    INITIALISING = 0x00  # as heartbeat: the boot-up message
-    STOPPED = 0x04
-    OPERATIONAL = 0x05
-    PRE_OPERATIONAL = 0x7F
-
-
-class NmtCommand(IntEnum):
-    """What an NMT master may order."""
-
-    START = 0x01
-    STOP = 0x02
-    ENTER_PRE_OPERATIONAL = 0x80
-    RESET_NODE = 0x81
-    RESET_COMMUNICATION = 0x82
 
 
 class Application(Protocol):
@@ -84,7 +65,7 @@ class Communication:
 
     def _power_on(self, tick: int, boot_ticks: int) -> None:
         """Communication as after power-on; the boot-up message is sent ``boot_ticks`` after ``tick``."""
-        self.state = NmtState.INITIALISING
+        self.state: int = NmtState.INITIALISING
         self.listening = False  # whether commands are heard
         self.reporting = False  # whether the state is sent at every report tick
         self._boot_tick = tick + boot_ticks
@@ -213,7 +194,7 @@ class Communication:
             self._power_on(tick, 0)
         self._catch_up(sent)
 
-    def _enter(self, state: NmtState) -> None:
+    def _enter(self, state: int) -> None:
         self.state = state
         self.listening = state == NmtState.OPERATIONAL
         self.reporting = self.listening and self._transmission_type >= _EVENT_DRIVEN

@@ -9,11 +9,9 @@ from joint_firmware.object_dictionary import DataType, Object, ObjectDictionary,
 _DATE = "11-25-2026"  # of the first edition of the objects; a date of writing would make every file differ
 
 
-def eds(dictionary: ObjectDictionary, bitrate: int) -> str:
-    """Text of the EDS file. ``bitrate``: of the bus's arbitration phase, bit/s.
-
-    ``Factor`` and ``Unit`` are not in CiA 306; the ``canopen`` package reads them, others pass over them.
-    """
+def eds(dictionary: ObjectDictionary) -> str:
+    """Text of the EDS file. ``Factor`` and ``Unit`` are not in CiA 306; the ``canopen`` package reads them, others pass
+    over them."""
     objects = dictionary.objects
     own = [i for i in objects if 0x2000 <= i < 0x6000]
     mandatory = [i for i in objects if i in (0x1000, 0x1001, 0x1018)]
@@ -26,7 +24,7 @@ def eds(dictionary: ObjectDictionary, bitrate: int) -> str:
                   CreatedBy="hume-hil", ModificationTime="12:00AM", ModificationDate=_DATE, ModifiedBy="hume-hil"),
         *_section("DeviceInfo", VendorName="hume-hil", VendorNumber=identity[1].default, ProductName="joint drive",
                   ProductNumber=identity[2].default, RevisionNumber=identity[3].default, OrderCode="none",
-                  **{f"BaudRate_{k}": int(k * 1000 == bitrate) for k in (10, 20, 50, 125, 250, 500, 800, 1000)},
+                  **{f"BaudRate_{k}": 1 for k in (10, 20, 50, 125, 250, 500, 800, 1000)},
                   SimpleBootUpMaster=0, SimpleBootUpSlave=1, Granularity=0, DynamicChannelsSupported=0,
                   GroupMessaging=0, NrOfRXPDO=1, NrOfTXPDO=1, LSS_Supported=0),
         *_section("DummyUsage", **{f"Dummy{n:04d}": int(n in (DataType.UNSIGNED16, DataType.UNSIGNED32))

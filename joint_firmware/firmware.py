@@ -16,8 +16,8 @@ from joint_firmware import law, protection, registers
 from joint_firmware.communication import Communication
 from joint_firmware.config import FirmwareConfig
 from joint_firmware.drive import POWERED, DriveState, transition
-from joint_firmware.object_dictionary import AbortCode, ObjectDictionary, SdoAbort
-from joint_firmware.objects import drive_objects
+from joint_firmware.object_dictionary import AbortCode, SdoAbort
+from joint_firmware.objects import drive_dictionary
 from joint_firmware.sdo import NEVER
 from robots import pins
 from robots.description import Joint, Robot
@@ -70,8 +70,7 @@ class JointFirmware:
         joint = robot.joints[joint_index]
         bus = next(bus for bus in robot.buses if joint.name in bus.joints)
         self.name, self.node_id = joint.name, joint.node_id
-        slot = bus.joints.index(joint.name)
-        self._slot_offset = 4 + _SLOT.size * slot
+        self._slot_offset = 4 + _SLOT.size * bus.joints.index(joint.name)
         self._state_id = messages.STATE + joint.node_id
         rate = config.rate
         if rate % config.report_rate:
@@ -96,7 +95,7 @@ class JointFirmware:
         self.ticks = 0  # done; a timer that runs on through a reset, by which samples are numbered
         self._sent: list[Frame] = []  # what the tick under way has to send
         self.reset()
-        self.dictionary = ObjectDictionary(drive_objects(robot.name, joint, slot, config), joint.node_id)
+        self.dictionary = drive_dictionary(robot, joint, config)
         boot_ticks = round(config.boot_time * rate)
         self._communication = Communication(
             self.dictionary, self, rate, boot_ticks, self._ticks_per_report, config.heartbeat_period

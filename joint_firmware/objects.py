@@ -13,8 +13,17 @@ from collections.abc import Iterator
 from bus import messages
 from bus.messages import GainSet, Setpoint, State
 from joint_firmware.config import FirmwareConfig, TorqueGains
-from joint_firmware.object_dictionary import DataType, Object, ObjectType, Variable, data_type, record, variable
-from robots.description import Joint
+from joint_firmware.object_dictionary import (
+    DataType,
+    Object,
+    ObjectDictionary,
+    ObjectType,
+    Variable,
+    data_type,
+    record,
+    variable,
+)
+from robots.description import Joint, Robot
 
 HISTORY = 8  # errors that 0x1003 remembers
 PER_MILLE = 1000
@@ -38,9 +47,11 @@ def rated_current(joint: Joint) -> float:
     return max(round(joint.actuator.current_limit * 1e3), 1) * 1e-3
 
 
-def drive_objects(robot: str, joint: Joint, slot: int, config: FirmwareConfig) -> list[Object]:
-    """All objects of ``joint``'s drive, whose set-points are in ``slot`` of the command frame."""
-    return [*_communication(robot, joint, slot, config), *_own(joint, config), *_device(joint, config)]
+def drive_dictionary(robot: Robot, joint: Joint, config: FirmwareConfig) -> ObjectDictionary:
+    """The dictionary of ``joint``'s drive; what is not a constant nobody answers for yet."""
+    slot = next(bus.joints.index(joint.name) for bus in robot.buses if joint.name in bus.joints)
+    objects = [*_communication(robot.name, joint, slot, config), *_own(joint, config), *_device(joint, config)]
+    return ObjectDictionary(objects, joint.node_id)
 
 
 def _constant(name: str, kind: DataType, value: int | str, **more: object) -> Variable:

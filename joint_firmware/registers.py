@@ -18,7 +18,6 @@ if TYPE_CHECKING:
 _MILLI = 1e3
 _COUNTER = 0xFFFFFFFF
 _STATE = struct.Struct("<" + messages.STATE_LAYOUT)
-_BITRATE = 1_000_000  # arbitration phase of the joint buses
 
 
 def connect(dictionary: ObjectDictionary, drive: JointFirmware) -> None:
@@ -29,7 +28,7 @@ def connect(dictionary: ObjectDictionary, drive: JointFirmware) -> None:
 
     def data_sheet() -> bytes:
         if not text:
-            text.append(eds(dictionary, _BITRATE).encode("ascii", "replace"))
+            text.append(eds(dictionary).encode("ascii", "replace"))
         return text[0]
 
     dictionary.connect(0x1021, 0, data_sheet)

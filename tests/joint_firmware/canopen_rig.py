@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import io
 import struct
+from functools import lru_cache
 from typing import Any
 
 import canopen
@@ -13,6 +14,11 @@ from canopen.objectdictionary.eds import import_eds
 from bus import messages
 from bus.frames import Frame
 from joint_firmware.eds import eds
+
+
+@lru_cache
+def object_dictionary(sheet: str, node_id: int) -> canopen.ObjectDictionary:
+    return import_eds(io.StringIO(sheet), node_id)
 
 
 class RigNetwork(canopen.Network):
@@ -43,8 +49,8 @@ class Rig:
     def __init__(self, bench: Any, node: type[canopen.RemoteNode] = canopen.RemoteNode) -> None:
         self.bench = bench
         self.network = RigNetwork(bench)
-        self.sheet = eds(bench.firmware.dictionary, 1_000_000)
-        self.node = node(bench.joint.node_id, import_eds(io.StringIO(self.sheet), bench.joint.node_id))
+        self.sheet = eds(bench.firmware.dictionary)
+        self.node = node(bench.joint.node_id, object_dictionary(self.sheet, bench.joint.node_id))
         self.network.add_node(self.node)
         self.run = self.network.run
 
