@@ -185,7 +185,7 @@ class Communication:
             self._enter(NmtState.STOPPED)
         elif command == NmtCommand.RESET_NODE:
             self._history.clear()
-            self.error_register = 0
+            self.error_register = self.malformed = 0
             self._untold = False
             self._power_on(tick, self._boot_ticks)
             self._application.reset()

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from bus import messages
 from bus.frames import Frame
 from bus.messages import Controlword, GainSet, Mode
-from joint_firmware.drive import DriveState
+from joint_firmware.drive import POWERED, DriveState
 from robots import pins
 
 from .canopen_rig import Rig
@@ -142,6 +142,38 @@ def test_the_heartbeat_period_is_the_written_one_to_a_report_period(rig, millise
     assert len(beats) == 4 and {b - a for a, b in pairwise(beats)} == {ticks}
     rig.node.sdo[0x1017].raw = 0
     assert 0x702 not in identifiers(rig.run(5000))
+
+
+# --- whatever comes -----------------------------------------------------------------------------------------
+
+services = st.builds(
+    lambda identifier, data, extended, remote: Frame(identifier, data, False, False, extended, remote),
+    st.sampled_from([0x000, 0x000, 0x080, 0x081, 0x182, 0x200, 0x602, 0x702]),
+    st.one_of(st.binary(max_size=8), st.builds(lambda c, n: bytes([c, n]), st.sampled_from([1, 2, 128, 129, 130, 7]),
+                                               st.sampled_from([0, 2, 3]))),
+    st.sampled_from([False, False, False, True]), st.sampled_from([False, False, False, True]),
+)  # fmt: skip
+
+
+@given(st.lists(st.tuples(services, st.integers(1, 400)), min_size=1, max_size=12), st.integers(0, 12))
+def test_no_service_frame_breaks_a_drive_and_a_restored_one_goes_on_as_it_did(bench, life, at):
+    first, another = Rig(bench(quick_stop_time="30ms").enable()), Rig(bench(quick_stop_time="30ms"))
+    snapshot = None
+    rest = []
+    for n, (frame, ticks) in enumerate(life):
+        if n == at:
+            snapshot = first.bench.firmware.snapshot()
+        sent = first.run(ticks, frame)
+        assert first.bench.enabled == 0 or first.bench.state in POWERED
+        for answer in sent:
+            assert answer.id in (0x182, 0x082, 0x582, 0x702)
+        if n >= at:
+            rest.append(sent)
+    if snapshot is not None:
+        another.bench.firmware.restore(snapshot)
+        another.bench.inputs[:] = first.bench.inputs
+        assert [another.run(ticks, frame) for frame, ticks in life[at:]] == rest
+        assert another.bench.firmware.malformed == first.bench.firmware.malformed
 
 
 # --- SYNC ---------------------------------------------------------------------------------------------------
@@ -315,7 +347,7 @@ def test_after_a_lost_master_an_sdo_resets_and_takes_over(rig):
     assert drive.motor_torque == 0.0 and drive.state is DriveState.OPERATION_ENABLED
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(st.integers(0, 0xFFFF), st.sampled_from([ENABLE, Controlword.DISABLE_VOLTAGE, Controlword.QUICK_STOP]))
 def test_a_command_frame_takes_over_from_sdo_at_once_and_is_watched(bench, counter, word):
     rig = Rig(bench().boot())

@@ -395,7 +395,7 @@ def stored(rig):
     return {place: rig.bench.firmware.dictionary.read(*place) for place in PARAMETERS}
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(st.lists(requests, min_size=1, max_size=30), st.booleans())
 @example([b"\x21\x00\x20\x01\x04\x00\x00\x00", b"\x00\x00\x00\xc0\x7f\x00\x00\x00"], True)  # NaN in a segment
 def test_random_requests_are_answered_and_change_only_what_they_name(bench, sequence, enabled):
@@ -446,7 +446,7 @@ def test_random_requests_are_answered_and_change_only_what_they_name(bench, sequ
     assert rig.node.sdo[0x607D][1].raw <= rig.node.sdo[0x607D][2].raw
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(st.lists(requests, min_size=1, max_size=20), st.integers(0, 20))
 def test_a_restored_server_goes_on_byte_for_byte(bench, sequence, at):
     first = Rig(bench().boot())
