@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -14,13 +14,14 @@ from bus.frames import Frame
 from bus.messages import GainSet, Mode
 from joint_firmware import law, protection, registers
 from joint_firmware.communication import Communication
-from joint_firmware.config import FirmwareConfig
+from joint_firmware.config import FirmwareConfig, Settings
 from joint_firmware.drive import POWERED, DriveState, transition
+from joint_firmware.memory import LawMemory
 from joint_firmware.object_dictionary import AbortCode, SdoAbort
 from joint_firmware.objects import drive_dictionary
 from joint_firmware.sdo import NEVER
 from robots import pins
-from robots.description import Joint, Robot
+from robots.description import Robot
 
 _STATE = struct.Struct("<" + messages.STATE_LAYOUT)  # filled with the integers that the law computed
 _SLOT = struct.Struct("<" + messages.SLOT_LAYOUT)
@@ -31,23 +32,8 @@ _NO_LIMIT = 1e9  # N m: the set-point's own limit where none comes with it
 _MODES = frozenset({Mode.NONE, Mode.TORQUE, Mode.POSITION, Mode.DAMPING})
 
 
-class Settings(NamedTuple):
-    """What a master can change in a drive. It is lost with the drive's power."""
-
-    config: FirmwareConfig
-    joint: Joint
-    motor_offset: float = 0.0  # rad
-    spring_offset: float = 0.0  # rad
-    gain_set: int = GainSet.STANCE  # while no command frame names one
-
-
 def _identity(function: ca.Function) -> ca.Function:
     return function
-
-
-def _view(array: np.ndarray) -> memoryview[float]:
-    """``array``'s memory, whose items read and write several times faster than the array's."""
-    return memoryview(array)  # type: ignore[arg-type, return-value]  # the stubs know bytes only
 
 
 class JointFirmware:
@@ -83,14 +69,9 @@ class JointFirmware:
         self._torque_fault = protection.TORQUE_FACTOR * config.torque_limit
         self._defaults = Settings(config, joint)
 
-        self._counts = np.zeros(3)
-        self._x = np.zeros(law.STATE_SIZE)
-        self._u = np.zeros(law.INPUT_SIZE)
-        self._p = np.zeros(law.PARAMETER_SIZE)
-        self._x_next = np.zeros(law.STATE_SIZE)
-        self._y = np.zeros(law.OUTPUT_SIZE)
-        self._function = compile(law.control_law())
-        self._bind()
+        self._law = memory = LawMemory(compile(law.control_law()))
+        self._evaluate, self._x, self._x_next = memory.evaluate, memory.x_array, memory.x_next_array
+        self._counts, self.x, self.u, self.y = memory.counts, memory.x, memory.u, memory.y
 
         self.ticks = 0  # done; a timer that runs on through a reset, by which samples are numbered
         self._sent: list[Frame] = []  # what the tick under way has to send
@@ -104,7 +85,7 @@ class JointFirmware:
 
     def reset(self) -> None:
         """Everything but the timer as after power-on."""
-        self._x[:] = self._u[:] = self._y[:] = 0.0
+        self._law.clear()
         self._drive = DriveState.NOT_READY
         self.controlword = 0
         self.mode: int = Mode.NONE
@@ -124,9 +105,10 @@ class JointFirmware:
         self._watchdog_ticks = max(round(config.watchdog * config.rate), 1)
         gains = {GainSet.STANCE: config.stance, GainSet.SWING: config.swing}
         self._gains = {index: (g.kp, g.ki, g.kd) for index, g in gains.items()}
-        self._p[:] = law.parameters(settings.joint, config, settings.motor_offset, settings.spring_offset)
+        parameters = law.parameters(settings.joint, config, settings.motor_offset, settings.spring_offset)
+        self._law.p_array[:] = parameters
         if (settings.joint.sensor, settings[2:4]) != (previous.joint.sensor, previous[2:4]):
-            self._x[law.STARTED] = 0.0  # a step of the calibration is no motion
+            self.x[law.STARTED] = 0.0  # a step of the calibration is no motion
         if self._command_counter is None:
             self.gain_set = settings.gain_set
         self._use_gains()
@@ -134,18 +116,6 @@ class JointFirmware:
     def _use_gains(self) -> None:
         u = self.u
         u[law.U_KP], u[law.U_KI], u[law.U_KD] = self._gains.get(self.gain_set, self._gains[GainSet.STANCE])
-
-    def _bind(self) -> None:
-        """Hand the law its memory once: a call then neither allocates nor converts."""
-        self._buffer, self._evaluate = self._function.buffer()
-        arguments = (self._counts, self._x, self._u, self._p)
-        for index, array in enumerate(arguments):
-            # a memoryview brings its size along; the stubs ask for it
-            self._buffer.set_arg(index, _view(array))  # type: ignore[call-arg, arg-type]
-        for index, array in enumerate((self._x_next, self._y)):
-            self._buffer.set_res(index, _view(array))  # type: ignore[call-arg, arg-type]
-        self._counts_view = _view(self._counts)
-        self.u, self.y, self.x = _view(self._u), _view(self._y), _view(self._x)
 
     def attach(self, pins_in: np.ndarray, pins_out: np.ndarray) -> None:
         """Connect the pins: int32, ``robots.pins.N_INPUTS`` and ``N_OUTPUTS``."""
@@ -186,7 +156,7 @@ class JointFirmware:
             else:
                 self._sent = sent
                 self._communication.receive(frame, tick, sent)
-        inputs, counts, y = self._in, self._counts_view, self.y
+        inputs, counts, y = self._in, self._counts, self.y
         counts[0] = inputs[pins.MOTOR_ENCODER]
         counts[1] = inputs[pins.SPRING_ENCODER]
         counts[2] = inputs[pins.CURRENT_ADC]
@@ -379,9 +349,7 @@ class JointFirmware:
             **plain,
             "settings": tuple(self.settings),
             "communication": self._communication.snapshot(),
-            "x": self._x.copy(),
-            "u": self._u.copy(),
-            "y": self._y.copy(),
+            **self._law.snapshot(),
         }
 
     def restore(self, state: dict[str, Any]) -> None:
@@ -389,4 +357,4 @@ class JointFirmware:
             setattr(self, name, state[name])
         self.configure(**Settings(*state["settings"])._asdict())
         self._communication.restore(state["communication"])
-        self._x[:], self._u[:], self._y[:] = state["x"], state["u"], state["y"]
+        self._law.restore(state)
