@@ -32,7 +32,7 @@ class FirmwareConfig(Config):
     rate: Hertz = 3000.0  # ISR rate
     report_rate: Hertz = 1500.0  # drive states per second
     boot_time: Seconds = 0.02
-    heartbeat_period: Seconds = 0.1
+    heartbeat_period: Seconds = 0.1  # 0: none
     watchdog: Seconds = 0.005  # longest silence of the controller before a quick stop
     quick_stop_time: Seconds = 0.5  # damped for this long, then fault
     quick_stop_damping: TorquePerRate = 30.0
