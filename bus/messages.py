@@ -20,6 +20,12 @@ SDO_RESPONSE = 0x580  # + node id
 SDO_REQUEST = 0x600  # + node id
 HEARTBEAT = 0x700  # + node id
 
+
+def accepted(node_id: int) -> tuple[int, ...]:
+    """Identifiers that the CAN controller of a drive lets pass."""
+    return NMT, SYNC, COMMAND, SDO_REQUEST + node_id
+
+
 # --- scales -------------------------------------------------------------------------------------------------
 RADIAN = 1e-6  # rad per count
 RADIAN_PER_SECOND = 1e-5  # rad/s per count

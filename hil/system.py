@@ -143,10 +143,10 @@ class System:
 
     def _acceptance(self, robot: Robot, b: int) -> dict[int, list[tuple[int, int]]]:
         """The acceptance filters of a bus's drives: port and joint of those that receive an identifier."""
-        every = [(port, joint) for port, joint in enumerate(self._joints_of[b], start=GATEWAY_PORT + 1)]
-        accepts = dict.fromkeys((messages.NMT, messages.SYNC, messages.COMMAND), every)
-        for port, joint in every:
-            accepts[messages.SDO_REQUEST + robot.joints[joint].node_id] = [(port, joint)]
+        accepts: dict[int, list[tuple[int, int]]] = {}
+        for port, joint in enumerate(self._joints_of[b], start=GATEWAY_PORT + 1):
+            for identifier in messages.accepted(robot.joints[joint].node_id):
+                accepts.setdefault(identifier, []).append((port, joint))
         return accepts
 
     # --- running ------------------------------------------------------------------------------------------------

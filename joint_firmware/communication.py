@@ -32,8 +32,8 @@ class Application(Protocol):
 class Communication:
     """The services of one node.
 
-    ``period_ticks``: heartbeats are sent on ticks without a report and at another tick by each node, so their period
-    is rounded to a multiple of it.
+    ``report_ticks`` between two reports: heartbeats are sent on ticks without a report, and by each node at another
+    one, so their period is rounded to a multiple of it.
     """
 
     def __init__(
@@ -65,16 +65,15 @@ class Communication:
 
     def _power_on(self, tick: int, boot_ticks: int) -> None:
         """Communication as after power-on; the boot-up message is sent ``boot_ticks`` after ``tick``."""
-        self.state: int = NmtState.INITIALISING
-        self.listening = False  # whether commands are heard
-        self.reporting = False  # whether the state is sent at every report tick
+        self._tick = tick
         self._boot_tick = tick + boot_ticks
         self._transmission_type = 255
         self._syncs = 0  # since the last report
         self._report_due = False
+        self._enter(NmtState.INITIALISING)
         self._answer = Frame(self._response_id, b"", False, False)  # in the form of the last request
         self._sdo.close()
-        self._set_heartbeat(self._default_heartbeat, tick)
+        self._set_heartbeat(self._default_heartbeat)
 
     # --- objects --------------------------------------------------------------------------------------------
 
@@ -92,7 +91,7 @@ class Communication:
         return self._history[n]
 
     def _write_heartbeat(self, milliseconds: float) -> None:
-        self._set_heartbeat(milliseconds * 1e-3, self._tick)
+        self._set_heartbeat(milliseconds * 1e-3)
 
     def _write_transmission_type(self, value: float) -> None:
         if _SYNCHRONOUS < value < _EVENT_DRIVEN:  # reserved, or for remote requests
@@ -101,12 +100,11 @@ class Communication:
         self._syncs = 0
         self._enter(self.state)
 
-    def _set_heartbeat(self, period: float, tick: int) -> None:
-        self._tick = tick
+    def _set_heartbeat(self, period: float) -> None:
         self._heartbeat_period = period
         ticks = max(round(period * self._rate), self._report_ticks)
         self._heartbeat_ticks = ticks + (-ticks) % self._report_ticks
-        self._plan_heartbeat(tick)
+        self._plan_heartbeat(self._tick)
         self._plan()
 
     # --- what the interrupt calls ---------------------------------------------------------------------------
@@ -196,8 +194,10 @@ class Communication:
 
     def _enter(self, state: int) -> None:
         self.state = state
-        self.listening = state == NmtState.OPERATIONAL
+        self.listening = state == NmtState.OPERATIONAL  # whether commands are heard
+        # whether the state is sent at every report tick
         self.reporting = self.listening and self._transmission_type >= _EVENT_DRIVEN
+        self._report_due = self._report_due and self.listening
 
     def _synchronise(self, data: bytes) -> None:
         if data:  # a SYNC counts only where 0x1019 says so, and there is none

@@ -77,23 +77,23 @@ def _device(dictionary: ObjectDictionary, drive: JointFirmware) -> None:
             raise SdoAbort(AbortCode.MAXIMUM_BELOW_MINIMUM)
         drive.configure(joint=drive.settings.joint.model_copy(update={"limits": tuple(limits)}))
 
-    connect = dictionary.connect
-    connect(0x603F, 0, lambda: drive.error)
-    connect(0x6040, 0, lambda: drive.controlword, drive.set_controlword)
-    connect(0x6041, 0, lambda: _state(drive)[1])
-    connect(0x6060, 0, lambda: drive.mode, drive.set_mode)
-    connect(0x6061, 0, lambda: drive.mode)
-    connect(0x6064, 0, lambda: y[law.Y_POSITION])
-    connect(0x606C, 0, lambda: y[law.Y_VELOCITY])
-    connect(0x6071, 0, lambda: u[law.U_TORQUE] * per_newton_metre, write_target_torque)
-    connect(0x6072, 0, lambda: drive.settings.config.torque_limit * per_newton_metre, write_max_torque)
-    connect(0x6074, 0, lambda: x[law.TORQUE_REFERENCE] * per_newton_metre)
-    connect(0x6077, 0, lambda: y[law.Y_TORQUE_SI] * per_newton_metre)
-    connect(0x6078, 0, lambda: y[law.Y_CURRENT] * messages.AMPERE * per_ampere)
-    connect(0x6079, 0, lambda: drive.pin(pins.SUPPLY_ADC) * pins.VOLT_PER_COUNT * _MILLI)
-    connect(0x607A, 0, lambda: u[law.U_POSITION] / messages.RADIAN, write_target_position)
+    place = dictionary.connect
+    place(0x603F, 0, lambda: drive.error)
+    place(0x6040, 0, lambda: drive.controlword, drive.set_controlword)
+    place(0x6041, 0, lambda: _state(drive)[1])
+    place(0x6060, 0, lambda: drive.mode, drive.set_mode)
+    place(0x6061, 0, lambda: drive.mode)
+    place(0x6064, 0, lambda: y[law.Y_POSITION])
+    place(0x606C, 0, lambda: y[law.Y_VELOCITY])
+    place(0x6071, 0, lambda: u[law.U_TORQUE] * per_newton_metre, write_target_torque)
+    place(0x6072, 0, lambda: drive.settings.config.torque_limit * per_newton_metre, write_max_torque)
+    place(0x6074, 0, lambda: x[law.TORQUE_REFERENCE] * per_newton_metre)
+    place(0x6077, 0, lambda: y[law.Y_TORQUE_SI] * per_newton_metre)
+    place(0x6078, 0, lambda: y[law.Y_CURRENT] * messages.AMPERE * per_ampere)
+    place(0x6079, 0, lambda: drive.pin(pins.SUPPLY_ADC) * pins.VOLT_PER_COUNT * _MILLI)
+    place(0x607A, 0, lambda: u[law.U_POSITION] / messages.RADIAN, write_target_position)
     for end in (0, 1):
-        connect(
+        place(
             0x607D, end + 1,
             lambda end=end: drive.settings.joint.limits[end] / messages.RADIAN,  # type: ignore[misc]
             lambda value, end=end: write_limit(end, value),  # type: ignore[misc]

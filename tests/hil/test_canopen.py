@@ -156,3 +156,7 @@ def test_a_stock_master_joins_a_run_from_outside(tmp_path: Path) -> None:
             network.disconnect()
     stops = [m for m in can.CanutilsLogReader(log) if m.arbitration_id == 0]
     assert [bytes(m.data) for m in stops] == [bytes([2, LEFT_KNEE])] and not stops[0].is_fd
+    lines = [line for line in log.read_text().splitlines() if " 000#" in line or " 606#" in line or " 586#" in line]
+    decode = [sys.executable, "-m", "cantools", "decode", "--single-line", str(out / "left_leg.dbc")]
+    read = subprocess.run(decode, input="\n".join(lines) + "\n", capture_output=True, text=True, check=True).stdout
+    assert "nmt_command: STOP" in read and "left_knee_sdo_response(" in read and "Unknown" not in read

@@ -200,7 +200,8 @@ def test_a_flood_of_syncs_is_one_report_a_tick_and_none_with_a_counter_is_taken(
     assert identifiers(rig.run(1, *[Frame(0x080, b"", False, False)] * 50)) == [0x182]
     assert identifiers(rig.run(1, Frame(0x080, b"\x01", False, False))) == []
     assert rig.bench.firmware.malformed == 1
-    rig.node.nmt.state = "PRE-OPERATIONAL"
+    stop = Frame(0x000, b"\x80\x02", False, False)
+    assert identifiers(rig.run(1, Frame(0x080, b"", False, False), stop)) == []
     assert identifiers(rig.run(1, Frame(0x080, b"", False, False))) == []
 
 
