@@ -267,7 +267,7 @@ class JointFirmware:
         """Set-points that move nothing: no old one may act when a drive is enabled or its mode changes."""
         u = self.u
         u[law.U_TORQUE] = u[law.U_VELOCITY] = 0.0
-        u[law.U_POSITION] = self.y[law.Y_POSITION_SI]
+        u[law.U_POSITION] = self.x[law.THETA]  # the motor's, which the spring's torque does not move
         u[law.U_LIMIT] = _NO_LIMIT
         self.gain_set = self.settings.gain_set
         self._use_gains()

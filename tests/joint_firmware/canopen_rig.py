@@ -13,7 +13,11 @@ from canopen.objectdictionary.eds import import_eds
 
 from bus import messages
 from bus.frames import Frame
+from joint_firmware.config import TorqueGains
 from joint_firmware.eds import eds
+
+# gains of the drives here, so that the expected torques are easy numbers
+GAINS = {"stance": TorqueGains(kp=1.0, kd="5 N m s/rad"), "swing": TorqueGains(kp=2.0, ki=10.0, kd="5 N m s/rad")}
 
 
 @lru_cache

@@ -13,7 +13,7 @@ from bus.messages import Controlword, GainSet, Mode
 from joint_firmware.drive import POWERED, DriveState
 from robots import pins
 
-from .canopen_rig import Rig
+from .canopen_rig import GAINS, Rig
 from .test_protection import spinning
 
 ENABLE = Controlword.ENABLE_OPERATION
@@ -22,7 +22,7 @@ WATCHDOG_TICKS, STOP_TICKS, BOOT_TICKS = 15, 1500, 60  # 5 ms, 0.5 s, 20 ms at 3
 
 @pytest.fixture
 def rig(bench):
-    return Rig(bench().boot())
+    return Rig(bench(**GAINS).boot())
 
 
 def identifiers(frames):
@@ -104,13 +104,13 @@ def test_a_stopped_node_answers_no_sdo(rig):
 
 
 def test_a_reset_of_the_node_restores_everything_and_cuts_power(bench):
-    drive = bench().enable(torque=20.0)
+    drive = bench(**GAINS).enable(torque=20.0)
     rig = Rig(drive)
     rig.node.sdo[0x2000]["kp"].raw = 3.0
     rig.node.sdo[0x607D][2].phys = 0.5
     rig.node.sdo[0x1017].raw = 10
     drive.command(torque=20.0)
-    fresh = bench().boot().firmware.snapshot()
+    fresh = bench(**GAINS).boot().firmware.snapshot()
     rig.node.nmt.state = "RESET"
     assert drive.state is DriveState.NOT_READY and (drive.enabled, drive.motor_torque) == (0, 0.0)
     sent = rig.run(BOOT_TICKS)

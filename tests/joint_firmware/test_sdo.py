@@ -18,12 +18,12 @@ from bus.messages import Controlword
 from joint_firmware.drive import DriveState
 from robots import pins
 
-from .canopen_rig import Rig
+from .canopen_rig import GAINS, Rig
 
 
 @pytest.fixture
 def rig(bench):
-    return Rig(bench().boot())
+    return Rig(bench(**GAINS).boot())
 
 
 def variables(od):
@@ -184,7 +184,7 @@ def test_a_gain_takes_effect_at_once_and_survives_until_the_reset(rig):
     [(0x2010, 0.02), (0x2011, 5e3), (0x2012, 100.0), (0x2013, 12.5), (0x2014, 80.0), (0x2015, 4.0)],
 )
 def test_a_parameter_is_read_back_and_the_other_drives_do_not_hear_of_it(bench, rig, index, value):
-    other = Rig(bench().boot())
+    other = Rig(bench(**GAINS).boot())
     before = other.node.sdo[index].raw
     rig.node.sdo[index].raw = value
     assert rig.node.sdo[index].raw == pytest.approx(value, rel=1e-7)
