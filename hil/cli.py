@@ -52,6 +52,8 @@ def _complain(error: Exception) -> None:
 
 
 def _parser() -> argparse.ArgumentParser:
+    from hil import eds
+
     parser = _Parser(prog="hil", description="Hardware-in-the-loop style emulation of legged robots.")
     commands = parser.add_subparsers(required=True, metavar="COMMAND", parser_class=_Parser)
 
@@ -103,6 +105,7 @@ def _parser() -> argparse.ArgumentParser:
     from hil import replay
 
     replay.add_parser(commands)
+    eds.add_parser(commands)
     return parser
 
 

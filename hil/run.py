@@ -17,6 +17,7 @@ from typing import Any
 from hil.backends.lifecycle import Family
 from hil.clock import VirtualClock, WallClock
 from hil.compiled import compile_function, compiler
+from hil.eds import write_data_sheets
 from hil.errors import EXIT_STABLE, EXIT_UNSTABLE, EmulationError, HilError, Interrupted
 from hil.scenario import Scenario
 from hil.streams import streams
@@ -175,6 +176,7 @@ def run(
     failure: HilError | None = None
     if request.out is not None:
         request.out.mkdir(parents=True, exist_ok=True)
+        write_data_sheets(request.out, scenario)  # for masters that join while it runs
     with assemble(request) as assembly:
         system = assembly.system
         if prepare is not None:
