@@ -31,9 +31,11 @@ from hil.backends.lifecycle import Family
 from hil.streams import streams
 
 WIRE_TARGET = 100_000  # frames per second
+REPEATS = 3
 _POOL = 256  # different frames
 _CHANNEL = "bench"
 _MULTICAST = "239.74.163.2"  # python-can's default group; a hop limit of 0 keeps it on this machine
+_NAP_S = 20e-6
 _DRAIN_S = 0.5  # a receiver waits this long for what is still under way
 
 NOTES = {
@@ -64,16 +66,21 @@ def _wire() -> Wire:
     return Wire(_CHANNEL, BusConfig(), 4, streams(0))
 
 
-def _rate(burst: Callable[[], int], seconds: float) -> float:
-    """Frames per second of ``burst``, which returns how many it has moved."""
+def _rate(burst: Callable[[], int], seconds: float) -> dict[str, float]:
+    """Frames per second of ``burst``, which returns how many it has moved, in the best of REPEATS stretches, as other
+    work on the machine only ever slows it; and the processor's time per frame in all of them."""
     burst()
-    count, began = 0, time.perf_counter()
-    while (elapsed := time.perf_counter() - began) < seconds:
-        count += burst()
-    return count / elapsed
+    best, total, cpu = 0.0, 0, time.process_time()
+    for _ in range(REPEATS):
+        count, began = 0, time.perf_counter()
+        while (elapsed := time.perf_counter() - began) < seconds / REPEATS:
+            count += burst()
+        best = max(best, count / elapsed)
+        total += count
+    return {"frames_per_s": best, "lost": 0.0, "cpu_us": 1e6 * (time.process_time() - cpu) / total}
 
 
-def wire_alone(seconds: float) -> float:
+def wire_alone(seconds: float) -> dict[str, float]:
     """Four ports that always have a frame each in arbitration."""
     wire, offers = _wire(), _frames()
 
@@ -120,7 +127,7 @@ def _polled(server: PortServer) -> Iterator[None]:
         thread.join()
 
 
-def hil_in_one_process(seconds: float) -> float:
+def hil_in_one_process(seconds: float) -> dict[str, float]:
     """Two python-can ports and the bus between them, in one thread."""
     run, wire, now, pool = f"bench-{os.getpid()}", _wire(), 0, _messages()[:16]
     server = PortServer(_CHANNEL, run=run)
@@ -135,9 +142,13 @@ def hil_in_one_process(seconds: float) -> float:
             nonlocal now
             for message in pool:
                 sender.send(message)
-            now = _serve(wire, server, now)
+            left = len(pool)
+            while left:
+                now = _serve(wire, server, now)
+                while left and receiver.recv(0) is not None:
+                    left -= 1
             _discard(sender)
-            return sum(receiver.recv(1.0) is not None for _ in pool)
+            return len(pool)
 
         return _rate(burst, seconds)
 
@@ -148,7 +159,7 @@ def _discard(bus: can.BusABC) -> None:
         bus.recv(0)
 
 
-def virtual_in_one_process(seconds: float) -> float:
+def virtual_in_one_process(seconds: float) -> dict[str, float]:
     """python-can's ``virtual``: two ports in one thread."""
     with (
         can.Bus(interface="virtual", channel=_CHANNEL) as sender,
@@ -171,7 +182,9 @@ def _server(run: str, ready: Connection) -> None:
     server, wire, now = PortServer(_CHANNEL, run=run), _wire(), 0
     ready.send("up")
     while True:
-        now = _serve(wire, server, now)
+        before, now = now, _serve(wire, server, now)
+        if now == before:  # leave the core to the others
+            time.sleep(_NAP_S)
 
 
 def _receiver(arguments: dict[str, Any], pipe: Connection) -> None:
@@ -212,13 +225,7 @@ def _answer(family: Family, pipe: Connection, whom: str) -> Any:
     return family.wait(lambda: pipe.recv() if pipe.poll() else None, whom)
 
 
-def across_processes(arguments: dict[str, Any], seconds: float, server: str | None = None) -> dict[str, float]:
-    """Frames per second that a receiver in another process gets, and the share of the sent ones that it misses.
-
-    Args:
-        arguments: of ``can.Bus`` in both processes.
-        server: name of a run to serve the bus in a third process; None: the interface needs none.
-    """
+def _flood(arguments: dict[str, Any], seconds: float, server: str | None) -> dict[str, float]:
     with Family() as family:
         if server is not None:
             with _child(family, "server", _server, server) as pipe:
@@ -228,15 +235,35 @@ def across_processes(arguments: dict[str, Any], seconds: float, server: str | No
             with _child(family, "sender", _sender, arguments, seconds) as sender:
                 sent, began = _answer(family, sender, "the sender")
                 received, ended = _answer(family, receiver, "the receiver")
-    return {"frames_per_s": received / (ended - began), "lost": 1.0 - received / sent}
+        cpu_us = 1e6 * sum(_cpu_seconds(pid) for pid in family.pids.values()) / max(received, 1)
+    return {"frames_per_s": received / (ended - began), "lost": 1.0 - received / sent, "cpu_us": cpu_us}
+
+
+def _cpu_seconds(pid: int) -> float:
+    """Processor's time that a process has used, s (resolution 10 ms)."""
+    with open(f"/proc/{pid}/stat", encoding="ascii") as file:
+        user, system = file.read().rpartition(")")[2].split()[11:13]
+    return (int(user) + int(system)) / os.sysconf("SC_CLK_TCK")
+
+
+def across_processes(arguments: dict[str, Any], seconds: float, server: str | None = None) -> dict[str, float]:
+    """Frames per second that a receiver in another process gets, and the share of the sent ones that it misses: the
+    best of REPEATS floods.
+
+    Args:
+        arguments: of ``can.Bus`` in both processes.
+        server: name of a run to serve the bus in a third process; None: the interface needs none.
+    """
+    floods = [_flood(arguments, seconds / REPEATS, server) for _ in range(REPEATS)]
+    return max(floods, key=lambda flood: flood["frames_per_s"])
 
 
 def bench_bus(seconds: float, as_json: bool) -> int:
     """Run all measurements, each for ``seconds``, and print them. Returns the exit status."""
     results: dict[str, Any] = {}
-    results["wire alone"] = {"frames_per_s": wire_alone(seconds), "lost": 0.0}
-    results["hil, one process"] = {"frames_per_s": hil_in_one_process(seconds), "lost": 0.0}
-    results["virtual, one process"] = {"frames_per_s": virtual_in_one_process(seconds), "lost": 0.0}
+    results["wire alone"] = wire_alone(seconds)
+    results["hil, one process"] = hil_in_one_process(seconds)
+    results["virtual, one process"] = virtual_in_one_process(seconds)
     run = f"bench-{os.getpid()}"
     ours = {"interface": "hil", "channel": f"{run}/{_CHANNEL}"}
     results["hil, across processes"] = across_processes(ours, seconds, server=run)
@@ -250,13 +277,14 @@ def bench_bus(seconds: float, as_json: bool) -> int:
     if as_json:
         print(json.dumps(results))
         return 0
-    print(f"the traffic of a leg (64 and 24 bytes, CAN FD), {seconds:g} s each, this machine, now")
+    print(f"traffic of a leg (64 and 24 bytes, CAN FD), {seconds:g} s each, the best of {REPEATS} parts")
     for name, result in results.items():
         if "unavailable" in result:
             print(f"  {name:32} cannot run here: {result['unavailable']}")
             continue
         lost = f", {100 * result['lost']:.1f} % lost" if result["lost"] > 0.0005 else ""
-        print(f"  {name:32} {result['frames_per_s']:9,.0f} frames/s{lost:>14}  {NOTES[name]}")
+        cost = f"{result['cpu_us']:5.1f} µs of processor"
+        print(f"  {name:32} {result['frames_per_s']:9,.0f} frames/s{lost:>14}, {cost}  {NOTES[name]}")
     met = results["wire alone"]["frames_per_s"] >= WIRE_TARGET
     print(f"  aim for the wire alone: ≥ {WIRE_TARGET:,} frames/s: {'met' if met else 'missed'}")
     return 0
