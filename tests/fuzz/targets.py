@@ -18,17 +18,20 @@ import numpy as np
 
 from bus import messages
 from bus.candump import format_line
+from bus.config import BusConfig
 from bus.dbc import dbc
 from bus.frames import CAN_FD_LENGTHS, Frame, checked
 from bus.gateway import Gateway
 from bus.messages import MalformedMessageError
 from bus.ports import MalformedRecordError, ShmPort, pack_frame, unpack_frame
+from bus.wire import Wire
 from bus.zenoh_link import MalformedBundleError, decode_bundle, encode_bundle
 from hil.errors import UserError
 from hil.latency import state_latencies
 from hil.mcap_writer import McapWriter
 from hil.scenario import parse_value
 from hil.signals import SIGNALS_FILE, load_tables
+from hil.streams import streams
 from robots import description, pins
 
 ROBOT = description.load("hume")
@@ -204,9 +207,8 @@ def _answer() -> Callable[[Any], None]:
     from hil import control
 
     queries: list[Callable[[Any], None]] = []
-    system = SimpleNamespace(
-        wires=[SimpleNamespace(name=bus.name) for bus in ROBOT.buses], requests=_AtOnce(), now_ns=0, inject=parse_value
-    )
+    wires = [Wire(bus.name, BusConfig(), len(bus.joints) + 2, streams(0)) for bus in ROBOT.buses]
+    system = SimpleNamespace(wires=wires, requests=_AtOnce(), now_ns=0, inject=parse_value)
     session = SimpleNamespace(declare_queryable=lambda key, answer: queries.append(answer))
     tap, control.PortTap = control.PortTap, lambda *_: None  # type: ignore[assignment, misc]
     try:
