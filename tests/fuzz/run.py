@@ -15,6 +15,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 _ROOT = Path(__file__).resolve().parents[2]
@@ -69,14 +70,15 @@ def _child(name: str, seconds: float, directory: Path) -> None:
     if importlib.util.find_spec("atheris") is None:
         from tests.fuzz.targets import TARGETS
 
-        _at_random(*((_defect, [b"BUG"]) if name == "defect" else TARGETS[name][:2]), seconds)
+        check, seeds = (_defect, [b"BUG"]) if name == "defect" else (TARGETS[name].check, TARGETS[name].seeds())
+        at_random(check, seeds, seconds)
         return
     import atheris
 
     if name == "defect":
         check = atheris.instrument_func(_defect)
     else:
-        # the modules of interest are instrumented as they are imported; which these are, a plain import must not tell
+        # modules are instrumented as they are imported: here for the first time
         with atheris.instrument_imports(include=["bus", "hil", "robots", "joint_firmware"]):
             from tests.fuzz.targets import TARGETS
         check = TARGETS[name].check
@@ -87,12 +89,12 @@ def _child(name: str, seconds: float, directory: Path) -> None:
     atheris.Fuzz()
 
 
-def _at_random(check, seeds, seconds: float) -> None:
+def at_random(check: Callable[[bytes], object], seeds: list[bytes], seconds: float) -> None:
+    """Call ``check`` with mutated ``seeds`` for a while; what it raises comes out, after the input is printed."""
     draw, count, end = random.Random(1), 0, time.monotonic() + seconds
-    pool = seeds() if callable(seeds) else seeds
     print("at random", flush=True)
     while time.monotonic() < end:
-        data = bytearray(draw.choice(pool))
+        data = bytearray(draw.choice(seeds))
         for _ in range(draw.randrange(4)):
             if data:
                 data[draw.randrange(len(data))] = draw.randrange(256)

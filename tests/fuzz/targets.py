@@ -41,7 +41,6 @@ BUS = ROBOT.buses[0]
 class Target(NamedTuple):
     check: Callable[[bytes], None]
     seeds: Callable[[], list[bytes]]  # well-formed input to start from
-    modules: tuple[str, ...]  # whose branches guide the fuzzer
 
 
 # --- records on a socket, slots in shared memory --------------------------------------------------------------
@@ -301,17 +300,15 @@ def _records() -> list[bytes]:
 
 
 TARGETS = {
-    "record": Target(record, lambda: [pack_frame(f, 12345, 2) for f in _FRAMES], ("bus.ports", "bus.frames")),
-    "ring": Target(ring, _rings, ("bus.ports", "bus.frames")),
-    "payload": Target(
-        payload, lambda: [bytes(24), bytes(64), bytes(8), *(c[2:] for c in _commands())], ("bus.messages",)
-    ),
-    "gateway": Target(gateway, lambda: [b"\1\0\2\0\0" + bytes(64), b"\0\x81\1\0\0" + bytes(24)], ("bus.gateway",)),
-    "firmware": Target(firmware, _commands, ("joint_firmware",)),
-    "bundle": Target(bundle, _bundles, ("bus.zenoh_link",)),
-    "injection": Target(injection, _injections, ("hil.control", "hil.scenario", "hil.schema", "robots.quantities")),
-    "setting": Target(setting, _settings, ("hil.scenario", "hil.schema", "robots.quantities")),
-    "background": Target(background_text, lambda: [b"0x050:8:1ms"], ("hil.bus_load", "robots.quantities")),
-    "candump": Target(candump_log, _logs, ("hil.latency",)),
-    "signals": Target(signals, _records, ("hil.signals", "mcap")),
+    "record": Target(record, lambda: [pack_frame(f, 12345, 2) for f in _FRAMES]),
+    "ring": Target(ring, _rings),
+    "payload": Target(payload, lambda: [bytes(24), bytes(64), bytes(8), *(c[2:] for c in _commands())]),
+    "gateway": Target(gateway, lambda: [b"\1\0\2\0\0" + bytes(64), b"\0\x81\1\0\0" + bytes(24)]),
+    "firmware": Target(firmware, _commands),
+    "bundle": Target(bundle, _bundles),
+    "injection": Target(injection, _injections),
+    "setting": Target(setting, _settings),
+    "background": Target(background_text, lambda: [b"0x050:8:1ms"]),
+    "candump": Target(candump_log, _logs),
+    "signals": Target(signals, _records),
 }

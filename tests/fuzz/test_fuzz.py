@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.fuzz.run import fuzz
+from tests.fuzz.run import at_random, fuzz
 from tests.fuzz.targets import TARGETS
 
 
@@ -63,3 +63,12 @@ def test_the_fuzzer_finds_a_defect_that_is_there(capsys: pytest.CaptureFixture[s
     """A target that fails on three given bytes, which random input would hardly hit."""
     assert fuzz(["defect"], seconds=20.0) == ["defect"]
     assert "BUG" in capsys.readouterr().out
+
+
+def test_without_the_fuzzer_seeds_are_mutated_at_random(capsys: pytest.CaptureFixture[str]) -> None:
+    seen = set()
+    at_random(seen.add, [b"BUG"], 0.05)
+    assert b"BUG" in seen and len(seen) > 10 and "Done" in capsys.readouterr().out
+    with pytest.raises(ZeroDivisionError):
+        at_random(lambda data: 1 // (data[:1] == b"B"), [b"BUG"], 5.0)
+    assert "input: b" in capsys.readouterr().out
