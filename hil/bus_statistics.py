@@ -14,7 +14,7 @@ _PERCENTILES = (50, 99)
 
 
 def bus_statistics(wires: Sequence[Any], scenario: Scenario) -> dict[str, Any]:
-    """By bus and identifier: frames sent, waiting times, longest frame, and the bound on the wait; times in s.
+    """By bus and identifier: frames sent, lost and retransmitted, waiting times and their bound, longest frame; in s.
 
     Waiting is from being queued to the start of the attempt that succeeded. The bound is for the scenario's own
     traffic without faults, None where there is none; ``other_traffic`` tells that there was more.
@@ -26,13 +26,15 @@ def bus_statistics(wires: Sequence[Any], scenario: Scenario) -> dict[str, Any]:
         bounds = {r.message.name: r for r in analyse(sent, scenario.bus[bus.name])}
         listed = {(t.identifier, t.extended): bounds[t.name] for t in sent}
         rows = []
-        for key, wait in wire.waits().items():
+        for key, (frames, lost, retransmitted, wait) in _counts(wire).items():
             bound = listed.get(key)
             row = {
                 "identifier": key[0],
                 "extended": key[1],
                 "name": None if bound is None else bound.message.name,
-                "frames": wait.frames,
+                "sent": frames,
+                "lost": lost,
+                "retransmitted": retransmitted,
                 **{f"wait_p{q}": _percentile(wait, q) for q in _PERCENTILES},
                 "wait_max": wait.longest / 1e9,
                 "frame": None if bound is None else bound.message.frame / 1e9,
@@ -49,10 +51,21 @@ def bus_statistics(wires: Sequence[Any], scenario: Scenario) -> dict[str, Any]:
     return found
 
 
+def _counts(wire: Any) -> dict[tuple[int, bool], tuple[int, int | None, int | None, Any]]:
+    """By (identifier, extended): sent, lost, retransmitted, waiting times; None for what the wire does not count."""
+    if hasattr(wire, "traffic"):
+        return {key: (one.sent, one.lost, one.retransmitted, one.wait) for key, one in wire.traffic().items()}
+    return {key: (wait.frames, None, None, wait) for key, wait in wire.waits().items()}
+
+
 def _percentile(wait: Any, q: int) -> float | None:
     """From the wire's histogram; None from a wire that keeps only extremes and a mean."""
     percentile = getattr(wait, "percentile", None)
     return None if percentile is None else percentile(q) / 1e9
+
+
+def _count(value: int | None) -> str:
+    return "–" if value is None else str(value)
 
 
 def statistics_table(statistics: Mapping[str, Any]) -> str:
@@ -65,17 +78,17 @@ def statistics_table(statistics: Mapping[str, Any]) -> str:
     for name, bus in statistics.items():
         doubts = [f"{bus['errors']} errors"] * bool(bus["errors"]) + ["other traffic"] * bus["other_traffic"]
         note = f": {' and '.join(doubts)}, which the bounds do not count" if doubts else ""
-        rows.append(f"<tr><th colspan=8>{html.escape(name.replace('_', ' '))}{note}</th></tr>")
+        rows.append(f"<tr><th colspan=10>{html.escape(name.replace('_', ' '))}{note}</th></tr>")
         for row in bus["identifiers"]:
             bound = row["wait_bound"]
             beyond = " class=beyond" if bound is not None and row["wait_max"] > bound else ""
             rows.append(
                 f"<tr{beyond}><td>{row['identifier']:#05x}</td><td>{html.escape(row['name'] or 'other')}</td>"
-                f"<td class=n>{row['frames']}</td>"
+                + "".join(f"<td class=n>{_count(row[key])}</td>" for key in ("sent", "lost", "retransmitted"))
                 + "".join(us(row[key]) for key in ("wait_p50", "wait_p99", "wait_max", "wait_bound", "frame"))
                 + "</tr>"
             )
     head = "".join(f"<th>{text}</th>" for text in (
-        "id", "", "frames", "wait p50 [µs]", "p99", "longest", "bound", "longest frame"
+        "id", "", "sent", "lost", "sent again", "wait p50 [µs]", "p99", "longest", "bound", "longest frame"
     ))  # fmt: skip
     return f"<table><tr>{head}</tr>{''.join(rows)}</table>"

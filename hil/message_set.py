@@ -72,11 +72,13 @@ def traffic(scenario: Scenario, robot: Robot, bus: Bus) -> list[Traffic]:
         state, heartbeat = tick_ns(per_report, rate), tick_ns(ticks, rate)
         found += [
             Traffic(f"{joint.name} state", messages.STATE + node, messages.STATE_LENGTH, state),
-            Traffic(f"{joint.name} heartbeat", messages.HEARTBEAT + node, 1, heartbeat, offset=tick_ns(beat, rate)),
             Traffic(
                 f"{joint.name} emergency", messages.EMERGENCY + node, messages.EMERGENCY_LENGTH, watchdog, offset=None
             ),
         ]
+        if firmware.heartbeat_period:
+            offset = tick_ns(beat, rate)
+            found.append(Traffic(f"{joint.name} heartbeat", messages.HEARTBEAT + node, 1, heartbeat, offset=offset))
     return sorted(found, key=lambda t: t.identifier)
 
 

@@ -1,5 +1,6 @@
 """Waiting times in run.json and in the report, beside their bounds."""
 
+from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 from bus.config import BusConfig
@@ -22,7 +23,7 @@ def test_a_run_records_each_identifier_within_its_bound() -> None:
         rows = {row["name"]: row for row in bus["identifiers"]}
         assert len(rows) == 7  # command, three states, three heartbeats
         assert all(row["wait_max"] <= row["wait_bound"] for row in rows.values())
-        assert sum(name.endswith("state") and row["frames"] == 450 for name, row in rows.items()) == 3
+        assert sum(name.endswith("state") and row["sent"] == 450 for name, row in rows.items()) == 3
     assert "beyond" not in statistics_table(record["bus"])
 
 
@@ -52,6 +53,16 @@ def test_foreign_frames_errors_and_waits_beyond_the_bound_stand_out() -> None:
     assert ">other<" in page and ">99.0<" in page
 
 
+def test_lost_and_repeated_frames_are_counted_where_the_wire_counts_them() -> None:
+    wire, other = FakeWire({}), FakeWire({(0x181, False): Wait(7, 5)})
+    one = SimpleNamespace(sent=9, lost=2, retransmitted=3, wait=Wait(9, 5))
+    wire.traffic = lambda: {(0x181, False): one}  # type: ignore[attr-defined]
+    counting = bus_statistics([wire, other], SCENARIO)["right_leg"]["identifiers"][0]
+    assert [counting[key] for key in ("sent", "lost", "retransmitted")] == [9, 2, 3]
+    silent = bus_statistics([other, wire], SCENARIO)["right_leg"]["identifiers"][0]
+    assert [silent[key] for key in ("sent", "lost", "retransmitted")] == [7, None, None]
+
+
 def test_the_wires_own_statistics_are_understood() -> None:
     wire = Wire("right_leg", BusConfig(), 2, streams(1))
     for port, identifier in ((0, 0x181), (1, 0x182)):
@@ -59,5 +70,5 @@ def test_the_wires_own_statistics_are_understood() -> None:
     while wire.next_time() < NEVER:
         wire.advance(wire.next_time())
     both = bus_statistics([wire, FakeWire({})], SCENARIO)["right_leg"]["identifiers"]
-    assert [row["frames"] for row in both] == [1, 1]
+    assert [row["sent"] for row in both] == [1, 1]
     assert both[0]["wait_max"] == 0.0 < both[1]["wait_max"] <= both[0]["frame"]
