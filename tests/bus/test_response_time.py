@@ -138,11 +138,11 @@ def test_longest_classical_frames_have_135_and_160_bits() -> None:
 
 
 class Traffic:
-    """Messages of CAN FD frames on a wire of their own; each message has a port."""
+    """Messages of CAN FD frames on a wire of their own; each message has a port, and there is one that only listens."""
 
     def __init__(self, frames: list[Frame], messages: list[Message]) -> None:
         self.frames, self.messages = frames, messages
-        self.wire = Wire("leg", BusConfig(), len(frames), streams(1))
+        self.wire = Wire("leg", BusConfig(), len(frames) + 1, streams(1))
 
     def responses(self, releases: list[tuple[int, int, int]]) -> list[int]:
         """Longest time of each message from event to end of intermission, for (queued, event, message)."""
