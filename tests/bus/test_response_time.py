@@ -1,5 +1,7 @@
 """Response-time analysis against published tables, and against the wire that it makes claims about."""
 
+import heapq
+
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -224,3 +226,50 @@ def test_the_critical_instant_attains_the_bound(drawn: list[tuple[int, Message]]
             event = 1 - m.jitter + k * m.period
             releases.append((max(event, 1), event, n))
     assert Traffic(frames, messages).responses(releases)[subject] == bound.longest
+
+
+# --- with faults ----------------------------------------------------------------------------------------------
+
+
+def with_faults(messages: list[Message], releases: list[tuple[int, int, int]], faults: list[int]) -> list[int]:
+    """Longest times from event to end of frame on a bus where ``faults`` strike: a frame under way at such a time is
+    broken off, an error frame follows, and it goes back into arbitration. Every frame is as long as it can be."""
+    pending, waiting, longest = sorted(releases), [], [0] * len(messages)
+    now, at, next_fault = 0, 0, 0
+    while at < len(pending) or waiting:
+        if not waiting:
+            now = max(now, pending[at][0])
+        while at < len(pending) and pending[at][0] <= now:
+            heapq.heappush(waiting, (pending[at][2], pending[at][1]))
+            at += 1
+        m, event = heapq.heappop(waiting)
+        while next_fault < len(faults) and faults[next_fault] < now:
+            next_fault += 1
+        if next_fault < len(faults) and faults[next_fault] < now + messages[m].frame:
+            now = faults[next_fault] + ERROR_FRAME_BITS * US
+            next_fault += 1
+            heapq.heappush(waiting, (m, event))
+        else:
+            now += messages[m].frame
+            longest[m] = max(longest[m], now - event)
+    return longest
+
+
+@settings(max_examples=100)
+@given(message_sets(), st.integers(1, 4), st.randoms(use_true_random=False))
+def test_no_response_exceeds_its_bound_when_faults_keep_their_distance(drawn, spacing: int, random) -> None:
+    messages = [m for _, m in drawn]
+    interval = spacing * 1500 * US
+    bounds = response_times(messages, US, interval)
+    releases = []
+    for n, m in enumerate(messages):
+        event = random.randrange(m.period)
+        while event < 12 * MS:
+            releases.append((event + random.randint(0, m.jitter), event, n))
+            event += m.period
+    faults, time = [], random.randrange(interval)
+    while time < 20 * MS:
+        faults.append(time)
+        time += interval + random.choice([0, 0, random.randrange(interval)])
+    for seen, bound in zip(with_faults(messages, releases, faults), bounds, strict=True):
+        assert bound.longest is None or seen <= bound.longest
