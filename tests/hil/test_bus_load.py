@@ -10,6 +10,7 @@ import pytest
 from bus.frames import Frame
 from bus.response_time import longest_frame
 from bus.timing import BitRates
+from hil import bus_sweep
 from hil.bus_load import background
 from hil.bus_sweep import LoadedWire, predict
 from hil.cli import main
@@ -180,3 +181,25 @@ def test_mistakes_get_one_sentence(
 def test_background_is_refused_as_an_error_of_the_user() -> None:
     with pytest.raises(UserError):
         background("x:8:1ms")
+
+
+def test_the_sweep_draws_what_it_has_measured(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    import matplotlib.image
+
+    monkeypatch.setattr(bus_sweep, "_SHARES", (0.0, 0.3, 0.6))
+    path = tmp_path / "sweep.png"
+    command = ["bus", "sweep-load", "stand", "--duration", "0.2s", "--set", "limits.settle=0.05s", "--out", str(path)]
+    assert main([*command, "--json"]) == 0
+    points = json.loads(capsys.readouterr().out)
+    assert [(p["identifier"], p["share"]) for p in points] == [(i, s) for i in (0x010, 0x7F0) for s in (0.0, 0.3, 0.6)]
+    for point in points:
+        for kind, waited in point["measured"]["waited"].items():
+            bound = point["predicted"]["waited"][kind]
+            assert bound is None or waited <= bound
+    flooded = points[2]
+    assert flooded["predicted"]["waited"]["command"] is None  # 60 % before everything: nothing is left for it
+    assert flooded["measured"]["waited"]["state"] > points[1]["measured"]["waited"]["state"]
+    assert points[5]["predicted"]["waited"]["command"] is not None  # behind everything it only blocks
+    assert matplotlib.image.imread(path).shape[:2] > (500, 500)
