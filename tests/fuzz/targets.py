@@ -272,7 +272,8 @@ def candump_log(data: bytes) -> None:
 
 def _logs() -> list[bytes]:
     times = [(1_000_000 * n, Frame(0x181, struct.pack("<H", n) + bytes(22))) for n in range(3)]
-    return ["".join(format_line(t, "left_leg", f) + "\n" for t, f in times).encode()]
+    beyond_64_bits = b"(" + b"3" * 50 + b".000000000) left_leg 182##70000\n"
+    return ["".join(format_line(t, "left_leg", f) + "\n" for t, f in times).encode(), beyond_64_bits]
 
 
 def signals(data: bytes) -> None:
