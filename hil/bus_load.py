@@ -13,14 +13,18 @@ if TYPE_CHECKING:  # the command line starts without it
 
 
 def background(text: str) -> Traffic:
-    """Additional traffic as ``IDENTIFIER:BYTES:PERIOD`` says, e.g. ``0x050:8:1ms``. Raises UserError."""
+    """Additional traffic as ``IDENTIFIER:BYTES:PERIOD`` says, e.g. ``0x050:8:1ms``, or with ``:classic`` behind it.
+    Raises UserError."""
     from bus.frames import CAN_FD_LENGTHS, EXTENDED_ID_LIMIT
     from hil.message_set import Traffic
 
     where = f"--with {text}"
     parts = text.split(":")
-    if len(parts) != 3:
-        raise UserError(f"{where}: expected IDENTIFIER:BYTES:PERIOD, for example 0x050:8:1ms")
+    fd = parts[3:] != ["classic"]
+    if len(parts) != 3 and fd:
+        raise UserError(
+            f"{where}: expected IDENTIFIER:BYTES:PERIOD or IDENTIFIER:BYTES:PERIOD:classic, e.g. 0x050:8:1ms"
+        )
     try:
         identifier = int(parts[0], 0)
     except ValueError:
@@ -28,9 +32,11 @@ def background(text: str) -> Traffic:
     if not 0 <= identifier < EXTENDED_ID_LIMIT:
         raise UserError(f"{where}: expected an identifier from 0 to {EXTENDED_ID_LIMIT - 1:#x}, for example 0x050")
     length = int(parts[1]) if parts[1].isascii() and parts[1].isdigit() and len(parts[1]) < 4 else -1
-    if length not in CAN_FD_LENGTHS:
-        raise UserError(f"{where}: expected a number of bytes of {', '.join(map(str, CAN_FD_LENGTHS))}")
-    return Traffic(f"background {identifier:#05x}", identifier, length, duration(parts[2], where), offset=None)
+    lengths = CAN_FD_LENGTHS if fd else CAN_FD_LENGTHS[:9]
+    if length not in lengths:
+        raise UserError(f"{where}: expected a number of bytes of {', '.join(map(str, lengths))}")
+    period = duration(parts[2], where)
+    return Traffic(f"background {identifier:#05x}", identifier, length, period, offset=None, fd=fd)
 
 
 def duration(text: str, where: str) -> int:
@@ -77,8 +83,8 @@ def add_parser(commands: Any) -> None:
         help="change one value of the scenario; repeatable",
     )  # fmt: skip
     parser.add_argument(
-        "--with", action="append", default=[], metavar="ID:BYTES:PERIOD", dest="extra",
-        help="additional CAN FD traffic on every bus, e.g. 0x050:8:1ms; repeatable",
+        "--with", action="append", default=[], metavar="ID:BYTES:PERIOD[:classic]", dest="extra",
+        help="additional traffic on every bus, CAN FD or classical, e.g. 0x050:8:1ms; repeatable",
     )  # fmt: skip
     parser.add_argument("--faults", metavar="TIME", help="at most one damaged frame in any such time, e.g. 10ms")
     parser.add_argument("--json", action="store_true", help="print one JSON object, times in s")

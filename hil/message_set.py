@@ -23,9 +23,10 @@ _SECOND = 10**9
 
 @dataclass(frozen=True)
 class Traffic:
-    """A kind of frame on a bus: always CAN FD with bit-rate switch. Times in ns.
+    """A kind of frame on a bus. Times in ns.
 
-    offset: of the first release on the drives' clock; None: at any time (sporadic).
+    offset: of the first release on the drives' clock; None: at any time (sporadic). fd: CAN FD with bit-rate switch,
+    as all frames of gateway and drives are; otherwise a classical frame.
     """
 
     name: str
@@ -35,6 +36,7 @@ class Traffic:
     jitter: int = 0
     deadline: int | None = None
     offset: int | None = 0
+    fd: bool = True
 
     @property
     def extended(self) -> bool:
@@ -44,7 +46,7 @@ class Traffic:
         """As the analysis takes it."""
         base = self.identifier if not self.extended else self.identifier >> 18
         order = base << 20 | (1 << 19 | self.identifier & 0x3FFFF if self.extended else 0)  # of a base frame: first
-        frame = longest_frame_ns(self.identifier, self.length, rates, extended=self.extended)
+        frame = longest_frame_ns(self.identifier, self.length, rates, self.fd, self.fd, self.extended)
         return Message(self.name, order, frame, self.period, self.jitter, self.deadline)
 
 

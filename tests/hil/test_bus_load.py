@@ -134,6 +134,14 @@ def test_the_command_prints_the_table_and_answers_with_its_status(capsys: pytest
             assert row["slack"] is None or row["slack"] == pytest.approx(row["deadline"] - row["response"])
 
 
+def test_a_classical_frame_is_counted_by_its_published_length(capsys: pytest.CaptureFixture[str]) -> None:
+    """An SDO of a stock CANopen master: 135 bits at 1 Mbit/s, behind the command and thus blocking it. With an
+    emergency of every drive at the same time that is too much."""
+    assert main(["bus", "load", "stand", "--with", "0x601:8:5ms:classic", "--json"]) == 1
+    rows = {row["name"]: row for row in json.loads(capsys.readouterr().out)["buses"]["left_leg"]["messages"]}
+    assert rows["background 0x601"]["frame"] == rows["command"]["blocking"] == pytest.approx(135e-6)
+
+
 def test_faults_and_slower_rates_are_worse() -> None:
     def command(*settings: str, faults: int | None = None) -> float:
         table = load_table(load("stand", settings), fault_interval=faults)
@@ -149,7 +157,9 @@ def test_faults_and_slower_rates_are_worse() -> None:
     [
         (["load", "stnd"], "no scenario 'stnd'; did you mean 'stand'? (a file of your own ends in .toml)"),
         (["load", "stand", "--with", "0x10:8"],
-         "--with 0x10:8: expected IDENTIFIER:BYTES:PERIOD, for example 0x050:8:1ms"),
+         "--with 0x10:8: expected IDENTIFIER:BYTES:PERIOD or IDENTIFIER:BYTES:PERIOD:classic, e.g. 0x050:8:1ms"),
+        (["load", "stand", "--with", "0x10:12:1ms:classic"],
+         "--with 0x10:12:1ms:classic: expected a number of bytes of 0, 1, 2, 3, 4, 5, 6, 7, 8"),
         (["load", "stand", "--with", "0x20000000:8:1ms"],
          "--with 0x20000000:8:1ms: expected an identifier from 0 to 0x1fffffff, for example 0x050"),
         (["load", "stand", "--with", "16:9:1ms"],
