@@ -3,6 +3,7 @@ other than the documented happens. Shared by the property tests and the coverage
 
 from __future__ import annotations
 
+import atexit
 import contextlib
 import functools
 import json
@@ -18,20 +19,17 @@ import numpy as np
 
 from bus import messages
 from bus.candump import format_line
-from bus.config import BusConfig
 from bus.dbc import dbc
 from bus.frames import CAN_FD_LENGTHS, Frame, checked
 from bus.gateway import Gateway
 from bus.messages import MalformedMessageError
 from bus.ports import MalformedRecordError, ShmPort, pack_frame, unpack_frame
-from bus.wire import Wire
 from bus.zenoh_link import MalformedBundleError, decode_bundle, encode_bundle
 from hil.errors import UserError
 from hil.latency import state_latencies
 from hil.mcap_writer import McapWriter
-from hil.scenario import parse_value
+from hil.scenario import load, parse_value
 from hil.signals import SIGNALS_FILE, load_tables
-from hil.streams import streams
 from robots import description, pins
 
 ROBOT = description.load("hume")
@@ -193,6 +191,10 @@ def _bundles() -> list[bytes]:
     ]
 
 
+_OPEN = contextlib.ExitStack()  # closed with this process
+atexit.register(_OPEN.close)
+
+
 class _AtOnce:
     """Requests that are carried out as they are handed over: the calendar does it between two events."""
 
@@ -202,18 +204,15 @@ class _AtOnce:
 
 @functools.cache
 def _answer() -> Callable[[Any], None]:
-    """The run's answer to an injection over Zenoh, without the session."""
+    """A run's answer to an injection over Zenoh, without the session. The run stands still."""
     from hil import control
+    from hil.run import Request, assemble
 
     queries: list[Callable[[Any], None]] = []
-    wires = [Wire(bus.name, BusConfig(), len(bus.joints) + 2, streams(0)) for bus in ROBOT.buses]
-    system = SimpleNamespace(wires=wires, requests=_AtOnce(), now_ns=0, inject=parse_value)
-    session = SimpleNamespace(declare_queryable=lambda key, answer: queries.append(answer))
-    tap, control.PortTap = control.PortTap, lambda *_: None  # type: ignore[assignment, misc]
-    try:
-        control.serve_run(SimpleNamespace(system=system, session=session, endpoint=None, run_name="fuzz"))
-    finally:
-        control.PortTap = tap  # type: ignore[misc]
+    assembly = _OPEN.enter_context(assemble(Request(load("stand"), backend="inline")))
+    assembly.system.requests = _AtOnce()
+    assembly.session = SimpleNamespace(declare_queryable=lambda key, answer: queries.append(answer))
+    control.serve_run(assembly)
     return queries[0]
 
 
@@ -226,7 +225,7 @@ def injection(data: bytes) -> None:
     if "error" in reply:
         assert isinstance(reply["error"], str) and reply["error"]
     else:
-        assert math.isfinite(reply["value"]) and reply["value"] >= 0
+        assert _plain(reply["value"])
 
 
 def _injections() -> list[bytes]:
@@ -234,11 +233,16 @@ def _injections() -> list[bytes]:
     return [json.dumps({"key": key, "value": value}).encode() for key, value in orders]
 
 
+def _plain(value: object) -> bool:
+    """A name, a switch, or a finite number."""
+    return isinstance(value, str | bool) or (isinstance(value, int | float) and math.isfinite(value))
+
+
 def setting(data: bytes) -> None:
     """KEY=VALUE from the command line: a finite number, or a sentence."""
     key, _, value = data.decode("utf-8", "replace").partition("=")
     with contextlib.suppress(UserError):
-        assert math.isfinite(parse_value(key, value))
+        assert _plain(parse_value(key, value))
 
 
 def _settings() -> list[bytes]:
