@@ -21,6 +21,7 @@ from collections.abc import Sequence  # noqa: E402
 from pathlib import Path  # noqa: E402
 from typing import Any, NoReturn  # noqa: E402
 
+from hil import bus_command  # noqa: E402
 from hil.errors import EXIT_EMULATION, EmulationError, HilError, UserError  # noqa: E402
 
 
@@ -91,7 +92,8 @@ def _parser() -> argparse.ArgumentParser:
     scenarios.set_defaults(command=_scenarios)
 
     bench = commands.add_parser("bench", help="measure speed, memory and start-up on this machine")
-    bench.add_argument("--duration", metavar="S", default="5s", help="simulated time of each measurement")
+    bench.add_argument("what", nargs="?", choices=("bus",), help="only the bus, beside python-can's virtual ones")
+    bench.add_argument("--duration", metavar="S", help="of each measurement: simulated time (5s), of the bus real (1s)")
     bench.add_argument("--json", action="store_true")
     bench.set_defaults(command=_bench)
 
@@ -106,6 +108,7 @@ def _parser() -> argparse.ArgumentParser:
 
     replay.add_parser(commands)
     eds.add_parser(commands)
+    bus_command.add_parser(commands)
     return parser
 
 
@@ -264,15 +267,22 @@ def _scenarios(options: argparse.Namespace) -> int:
 
 
 def _bench(options: argparse.Namespace) -> int:
-    from hil.bench import bench
     from robots.quantities import parse_quantity
 
+    if options.duration is None:
+        options.duration = "1s" if options.what == "bus" else "5s"
     try:
         duration = parse_quantity(_with_second(options.duration), "s")
     except ValueError as error:
         raise UserError(f"--duration: {error}") from None
     if not 0.1 <= duration <= 3600:
         raise UserError(f"--duration {options.duration}: expected 0.1 s to 3600 s")
+    if options.what == "bus":
+        from hil.bench_bus import bench_bus
+
+        return bench_bus(duration, as_json=options.json)
+    from hil.bench import bench
+
     return bench(duration, as_json=options.json)
 
 

@@ -206,6 +206,7 @@ def _conclude(
     request: Request, system: Any, recorder: Any, failure: HilError | None, elapsed: float, start_up: float,
     memory: dict[str, int], world: Any,
 ) -> Outcome:  # fmt: skip
+    from hil.bus_statistics import bus_statistics
     from hil.verdict import judge
 
     scenario = request.scenario
@@ -226,6 +227,7 @@ def _conclude(
         "verdict": name,
         "reason": reason,
         "metrics": verdict.metrics,
+        "bus": bus_statistics(system.wires, scenario),
         "log_digest": recorder.digest(),
         "simulated_time": simulated,
         "realtime_factor": simulated / elapsed if elapsed > 0 else 0.0,

@@ -18,12 +18,13 @@ from bus.frames import Frame
 from hil.cli import main
 from hil.run import Request, assemble
 from hil.scenario import load
+from hil.system import Tap
 from robots import description
 
 LEFT_LEG, LEFT_KNEE = 1, 6  # bus, node id
 
 
-class Master(canopen.Network):
+class Master(canopen.Network, Tap):
     """A master in lockstep with a system: it sends at the next poll, and simulated time passes until the answer."""
 
     def __init__(self, system: Any, bus: int) -> None:
