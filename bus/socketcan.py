@@ -5,7 +5,6 @@ A run that creates interfaces has a process beside it that removes them when the
 
 from __future__ import annotations
 
-import os
 import shlex
 import socket
 import subprocess
@@ -19,7 +18,6 @@ from bus.python_can import to_frame, to_message
 
 NAME_LENGTH = 15  # longest name of a network interface (IFNAMSIZ without its zero)
 FD_MTU = 72  # bytes of struct canfd_frame: an interface with this MTU carries CAN FD
-_RECEIVE_BUFFER = 1 << 20  # bytes: some thousand frames
 # waits for the end of its input, then removes the interfaces that its arguments name
 _REMOVE = 'cat >/dev/null; for i in "$@"; do ip link delete dev "$i"; done'
 
@@ -65,7 +63,6 @@ class Interfaces:
 
     def __init__(self, names: Sequence[str]) -> None:
         self._remover: subprocess.Popen[bytes] | None = None
-        self.created: list[str] = []
         if not supported():
             raise SocketCanError(
                 "this kernel has no CAN sockets: load them with `sudo modprobe -a can can-raw vcan`, or use user-mode "
@@ -73,26 +70,25 @@ class Interfaces:
             )
         for name in names:
             if not 0 < len(name.encode()) <= NAME_LENGTH or set(name) & set("/: \t\n") or name in (".", ".."):
-                raise SocketCanError(f"{name!r} cannot name a network interface: at most {NAME_LENGTH} bytes, no / or :")
+                raise SocketCanError(f"{name!r} cannot name a network interface: at most {NAME_LENGTH} bytes")
         missing = [name for name in names if not exists(name)]
+        if not missing:
+            return
+        self._remover = subprocess.Popen(
+            ["sh", "-c", _REMOVE, "sh", *missing],
+            stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True,
+        )  # fmt: skip
         try:
             for name in missing:
                 self._ip("link", "add", "dev", name, "type", "vcan")
-                self.created.append(name)
                 self._ip("link", "set", "dev", name, "mtu", str(FD_MTU), "up")
         except (OSError, subprocess.CalledProcessError) as error:
-            for name in self.created:
-                subprocess.run(["ip", "link", "delete", "dev", name], check=False)
+            self.close()
             output = getattr(error, "output", None)
             reason = " ".join(output.split()) if output else str(error)
             raise SocketCanError(
                 f"CAN interface {missing[0]} is missing and cannot be created ({reason}); type: {commands(missing)}"
             ) from None
-        if self.created:
-            self._remover = subprocess.Popen(
-                ["sh", "-c", _REMOVE, "sh", *self.created],
-                stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True,
-            )  # fmt: skip
 
     @staticmethod
     def _ip(*arguments: str) -> None:
@@ -125,11 +121,6 @@ class SocketCanPort:
             self._bus = can.Bus(interface="socketcan", channel=channel, fd=True)
         except OSError as error:
             raise SocketCanError(f"CAN interface {channel} cannot be opened: {error.strerror}") from None
-        option = socket.SO_RCVBUFFORCE if os.geteuid() == 0 else socket.SO_RCVBUF
-        try:
-            self._bus.socket.setsockopt(socket.SOL_SOCKET, option, _RECEIVE_BUFFER)
-        except PermissionError:  # root of a namespace only
-            self._bus.socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVE_BUFFER)
         self.malformed = 0
 
     def fileno(self) -> int:
@@ -164,5 +155,6 @@ class SocketCanPort:
         except can.CanOperationError:
             self.malformed += 1
 
-    def close(self) -> None:
+    def shutdown(self) -> None:
+        """Close the socket; processes that were forked meanwhile keep theirs."""
         self._bus.shutdown()

@@ -76,6 +76,11 @@ def _parser() -> argparse.ArgumentParser:
         "--zenoh", type=_endpoint, metavar="tcp/HOST:PORT",
         help="join this Zenoh router instead of a private session",
     )  # fmt: skip
+    run.add_argument(
+        "--can", choices=("shm", "socketcan", "socketcan-plain"), default="shm",
+        help="what carries the joints' frames: shared memory (default), SocketCAN with the emulated wire between the "
+        "interfaces of the joints, or one plain SocketCAN interface per bus",
+    )  # fmt: skip
     run.add_argument("--video", action="store_true", help="also write video.mp4")
     run.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
     run.set_defaults(command=_run)
@@ -88,6 +93,10 @@ def _parser() -> argparse.ArgumentParser:
     bench.add_argument("--duration", metavar="S", default="5s", help="simulated time of each measurement")
     bench.add_argument("--json", action="store_true")
     bench.set_defaults(command=_bench)
+
+    from hil import socketcan_selftest
+
+    socketcan_selftest.add_parser(commands)
 
     inject = commands.add_parser("inject", help="change an impairment of a run that is going on")
     inject.add_argument("key", nargs="?", metavar="KEY", help="e.g. link.command.delay")
@@ -148,13 +157,16 @@ def _run(options: argparse.Namespace) -> int:
     scenario = load(options.scenario, settings)
     if options.zenoh is not None and options.backend == "inline":
         raise UserError("--zenoh has no meaning with --backend inline: nothing goes through Zenoh there")
+    if options.can != "shm" and options.backend == "inline":
+        raise UserError(f"--can {options.can} has no meaning with --backend inline: nothing leaves the process there")
     stamp = time.strftime("%Y%m%d-%H%M%S")
     out = _directory(options.out, f"{scenario.name}-seed{options.seed}-{stamp}")
     from hil.control import serve_run
 
     request = Request(
-        scenario, options.seed, options.backend, options.clock, out, video=options.video, zenoh=options.zenoh
-    )
+        scenario, options.seed, options.backend, options.clock, out, video=options.video, zenoh=options.zenoh,
+        can=options.can,
+    )  # fmt: skip
     try:
         if options.json:
             outcome = run(request, prepare=serve_run)

@@ -36,6 +36,7 @@ class Request:
     out: Path | None = None  # None: nothing is written
     video: bool = False
     zenoh: str | None = None  # endpoint of a router to join
+    can: str = "shm"  # what carries the joints' frames; or "socketcan", "socketcan-plain"
     report: bool = True
 
 
@@ -66,6 +67,7 @@ class Assembly:
     world: Any = None
     tap: Any = None
     queryable: Any = None
+    kernel: Any = None  # SocketCAN, when the joints' frames cross it
 
 
 Progress = Callable[[Any, float], None]  # system, wall seconds since the first tick
@@ -80,7 +82,13 @@ def assemble(request: Request, wrap: Callable[[str, Any], Any] = lambda _, node:
     scenario = request.scenario
     robot = description.load(scenario.robot)
     random = streams(request.seed)
-    with Family() as family:
+    with contextlib.ExitStack() as stack:
+        kernel = None
+        if request.can != "shm":
+            from hil.backends.socketcan import SocketCan
+
+            kernel = stack.enter_context(SocketCan(robot, scenario, request.can))
+        family = stack.enter_context(Family())
         if request.clock == "wall":
             clock: VirtualClock | WallClock = WallClock(round(1e9 / scenario.firmware.rate))
             clock.request_priority()  # before the children are forked: they inherit it
@@ -100,9 +108,12 @@ def assemble(request: Request, wrap: Callable[[str, Any], Any] = lambda _, node:
             shared = SharedPins(len(nodes))
             channel = {name: bus.name for bus in robot.buses for name in bus.joints}
             controller = ProcessController(family, run_name, scenario, request.zenoh)
-            joints = ProcessJoints(
-                family, nodes, robot.joint_names, [channel[n] for n in robot.joint_names], shared
-            )
+            if kernel is not None:
+                joints = kernel.joints(family, nodes, shared)
+            else:
+                joints = ProcessJoints(
+                    family, nodes, robot.joint_names, [channel[n] for n in robot.joint_names], shared
+                )
         from plant.world import World
 
         world = World(
@@ -146,10 +157,12 @@ def assemble(request: Request, wrap: Callable[[str, Any], Any] = lambda _, node:
                 clock,
                 Monitor(scenario.limits, channels),
             )
+            if kernel is not None:
+                kernel.connect(system)
             system.wires = [wrap("bus", wire) for wire in system.wires]
             pids = {"launcher": os.getpid(), **family.pids}
             endpoint = controller.endpoint if session is not None else None
-            assembly = Assembly(system, recorder, family, run_name, session, endpoint, pids, world)
+            assembly = Assembly(system, recorder, family, run_name, session, endpoint, pids, world, kernel=kernel)
             yield assembly
         finally:
             if assembly is not None and assembly.tap is not None:
@@ -170,6 +183,8 @@ def run(request: Request, progress: Progress | None = None, prepare: Callable[[A
         system = assembly.system
         if prepare is not None:
             prepare(assembly)
+        if assembly.kernel is not None:
+            assembly.tap = system.tap = assembly.kernel.tools(system.tap)
         start_up = process_age()
         system.clock.start()
         first = time.monotonic()
@@ -209,6 +224,7 @@ def _conclude(
         "seed": request.seed,
         "backend": request.backend,
         "clock": request.clock,
+        "can": request.can,
         "verdict": name,
         "reason": reason,
         "metrics": verdict.metrics,

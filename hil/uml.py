@@ -82,8 +82,9 @@ class Guest:
         init.write_bytes(Path(__file__).with_name("uml-init.sh").read_bytes())
         init.chmod(0o700)
         linux = [
-            _which(_KERNEL) or _KERNEL, f"mem={_MEMORY_MB}M", "root=/dev/root", "rootfstype=hostfs", "rootflags=/", "ro",
-            "quiet", f"uml_dir={directory}/", f"init={init}", f"HIL_WORK={directory}", "con=null", "con0=null,fd:1",
+            _which(_KERNEL) or _KERNEL, f"mem={_MEMORY_MB}M", "root=/dev/root", "rootfstype=hostfs", "rootflags=/",
+            "ro", "quiet", f"uml_dir={directory}/", f"init={init}", f"HIL_WORK={directory}",
+            "con=null", "con0=null,fd:1",
         ]  # fmt: skip
         self._guard = subprocess.Popen(
             [sys.executable, guard.__file__, directory, str(limit_s), *linux],

@@ -79,9 +79,14 @@ class ProcessJoints:
             node.attach(shared.inputs[j], shared.outputs[j])
             ours, theirs = connections()
             self._pipes.append(ours)
-            port = ShmPort(shared.ports[j], firmware=True)
+            port = self._firmware_port(j, channels[j], shared)
             following = go[j + 1] if j + 1 < len(go) else None
-            family.spawn(name, _joint_main, node, channels[j], port, shared.orders[j], go[j], following, theirs)
+            family.spawn(name, _joint_main, node, port, shared.orders[j], go[j], following, theirs)
+            port.shutdown()  # the joint's process has its own
+
+    def _firmware_port(self, joint: int, channel: str, shared: SharedPins) -> Any:
+        """What a joint's firmware is given: ``recv_frames()``, ``send_frame(frame)``, ``shutdown()``."""
+        return HilBus(channel=channel, port=ShmPort(shared.ports[joint], firmware=True))
 
     def start(self, now_ns: int, inboxes: list[list[Frame]]) -> None:
         for order, port, inbox in zip(self._orders, self._ports, inboxes, strict=True):
@@ -123,17 +128,15 @@ class ProcessJoints:
 
 def _joint_main(
     node: JointFirmware,
-    channel: str,
-    port: ShmPort,
+    port: Any,
     order: memoryview,
     go: int,
     following: int | None,
     pipe: Connection,
 ) -> None:
-    bus = HilBus(channel=channel, port=port)
     quiet_collector()
     wait, wake = os.eventfd_read, os.eventfd_write
-    recv_frames, send, tick = bus.recv_frames, bus.send_frame, node.tick
+    recv_frames, send, tick = port.recv_frames, port.send_frame, node.tick
     while True:
         wait(go)
         if order[_WHAT] == _TICK:
