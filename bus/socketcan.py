@@ -39,6 +39,15 @@ def supported() -> bool:
     return True
 
 
+def require() -> None:
+    """Raises SocketCanError, with a remedy, when this kernel has no CAN sockets."""
+    if not supported():
+        raise SocketCanError(
+            "this kernel has no CAN sockets: load them with `sudo modprobe -a can can-raw vcan`, or use user-mode "
+            "Linux as `hil socketcan-selftest` does"
+        )
+
+
 def exists(name: str) -> bool:
     """Whether there is a CAN interface of this name."""
     try:
@@ -63,11 +72,7 @@ class Interfaces:
 
     def __init__(self, names: Sequence[str]) -> None:
         self._remover: subprocess.Popen[bytes] | None = None
-        if not supported():
-            raise SocketCanError(
-                "this kernel has no CAN sockets: load them with `sudo modprobe -a can can-raw vcan`, or use user-mode "
-                "Linux as `hil socketcan-selftest` does"
-            )
+        require()
         for name in names:
             if not 0 < len(name.encode()) <= NAME_LENGTH or set(name) & set("/: \t\n") or name in (".", ".."):
                 raise SocketCanError(f"{name!r} cannot name a network interface: at most {NAME_LENGTH} bytes")

@@ -159,6 +159,13 @@ def _run(options: argparse.Namespace) -> int:
         raise UserError("--zenoh has no meaning with --backend inline: nothing goes through Zenoh there")
     if options.can != "shm" and options.backend == "inline":
         raise UserError(f"--can {options.can} has no meaning with --backend inline: nothing leaves the process there")
+    if options.can != "shm":
+        from bus.socketcan import SocketCanError, require
+
+        try:
+            require()
+        except SocketCanError as error:
+            raise UserError(f"--can {options.can}: {error}") from None
     stamp = time.strftime("%Y%m%d-%H%M%S")
     out = _directory(options.out, f"{scenario.name}-seed{options.seed}-{stamp}")
     from hil.control import serve_run

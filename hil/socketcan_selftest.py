@@ -54,7 +54,8 @@ class Candump:
     """``candump -L`` of can-utils on one interface."""
 
     def __init__(self, interface: str) -> None:
-        self._process = subprocess.Popen(["candump", "-L", interface], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL)
+        command = ["candump", "-L", interface]
+        self._process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL)
         deadline = time.monotonic() + _PATIENCE_S
         while not re.search(rf"^ +{re.escape(interface)} ", Path("/proc/net/can/rcvlist_all").read_text(), re.M):
             _expect(time.monotonic() < deadline and self._process.poll() is None, f"candump does not hear {interface}")
