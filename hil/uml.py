@@ -98,13 +98,14 @@ class Guest:
             text = line.rstrip("\r\n")
             if text.startswith(_STATUS):
                 self._said = int(text.removeprefix(_STATUS))
-            else:
-                yield text
+                self.close()
+                return
+            yield text
 
     @property
     def status(self) -> int:
         """Exit status of the command. Raises EmulationError when the guest did not get so far."""
-        ended = self._guard.wait()
+        ended = self._guard.wait()  # at once: its output has ended
         if self._said is None:
             why = f"not done within {self._limit_s:.0f} s" if ended == guard.TIMEOUT else f"ended with status {ended}"
             raise EmulationError(f"user-mode Linux: {why}")
