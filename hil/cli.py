@@ -77,6 +77,10 @@ def _parser() -> argparse.ArgumentParser:
         help="join this Zenoh router instead of a private session",
     )  # fmt: skip
     run.add_argument(
+        "--zenoh-config", type=Path, metavar="FILE",
+        help="Zenoh's own configuration (.json5) for launcher and controller: TLS, access control, other transports",
+    )  # fmt: skip
+    run.add_argument(
         "--can", choices=("shm", "socketcan", "socketcan-plain"), default="shm",
         help="what carries the joints' frames: shared memory (default), SocketCAN with the emulated wire between the "
         "interfaces of the joints, or one plain SocketCAN interface per bus",
@@ -157,6 +161,16 @@ def _run(options: argparse.Namespace) -> int:
     scenario = load(options.scenario, settings)
     if options.zenoh is not None and options.backend == "inline":
         raise UserError("--zenoh has no meaning with --backend inline: nothing goes through Zenoh there")
+    if options.zenoh_config is not None:
+        if options.zenoh is not None or options.backend == "inline":
+            other = "--zenoh" if options.zenoh is not None else "--backend inline"
+            raise UserError(f"--zenoh-config and {other} exclude each other")
+        from bus.zenoh_link import peer_config
+
+        try:
+            peer_config(f"config:{options.zenoh_config}")
+        except ValueError as error:
+            raise UserError(f"--zenoh-config {error}") from None
     if options.can != "shm" and options.backend == "inline":
         raise UserError(f"--can {options.can} has no meaning with --backend inline: nothing leaves the process there")
     if options.can != "shm":
@@ -172,7 +186,7 @@ def _run(options: argparse.Namespace) -> int:
 
     request = Request(
         scenario, options.seed, options.backend, options.clock, out, video=options.video, zenoh=options.zenoh,
-        can=options.can,
+        can=options.can, zenoh_config=options.zenoh_config,
     )  # fmt: skip
     try:
         if options.json:

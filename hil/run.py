@@ -36,6 +36,7 @@ class Request:
     out: Path | None = None  # None: nothing is written
     video: bool = False
     zenoh: str | None = None  # endpoint of a router to join
+    zenoh_config: Path | None = None  # Zenoh's configuration of both sessions, instead
     can: str = "shm"  # what carries the joints' frames; or "socketcan", "socketcan-plain"
     report: bool = True
 
@@ -107,7 +108,7 @@ def assemble(request: Request, wrap: Callable[[str, Any], Any] = lambda _, node:
 
             shared = SharedPins(len(nodes))
             channel = {name: bus.name for bus in robot.buses for name in bus.joints}
-            controller = ProcessController(family, run_name, scenario, request.zenoh)
+            controller = ProcessController(family, run_name, scenario, _where(request))
             if kernel is not None:
                 joints = kernel.joints(family, nodes, shared)
             else:
@@ -120,9 +121,11 @@ def assemble(request: Request, wrap: Callable[[str, Any], Any] = lambda _, node:
             robot, scenario.world, scenario.terrain, scenario.stance, scenario.sensors, scenario.push, random,
             compile=compile_function, imu_rate=scenario.firmware.report_rate,
         )  # fmt: skip
+        from central_controller.controller import telemetry_fields
+
         if request.backend == "processes":
             world.attach_pins(shared.inputs, shared.outputs)
-            session = controller.open()
+            session = controller.open(len(telemetry_fields(robot)))
         else:
             from central_controller.controller import Controller
             from hil.backends.inline import InlineController, InlineJoints
@@ -131,7 +134,6 @@ def assemble(request: Request, wrap: Callable[[str, Any], Any] = lambda _, node:
             model = description.load(scenario.robot, scenario.controller.variant)
             controller = InlineController(Controller(model, scenario.controller, compile=compile_function))
 
-        from central_controller.controller import telemetry_fields
         from hil.recorder import Recorder
         from hil.system import System
         from hil.verdict import Monitor
@@ -172,6 +174,13 @@ def assemble(request: Request, wrap: Callable[[str, Any], Any] = lambda _, node:
                 controller.close()
 
 
+def _where(request: Request) -> str | None:
+    """Where launcher and controller meet, as of ``bus.zenoh_link.peer_config``; None: by themselves."""
+    if request.zenoh_config is not None:
+        return f"config:{request.zenoh_config.resolve()}"
+    return f"router:{request.zenoh}" if request.zenoh is not None else None
+
+
 def run(request: Request, progress: Progress | None = None, prepare: Callable[[Assembly], None] | None = None) -> Outcome:
     """Run to the end, to a fall, or to a signal; write the record. Raises HilError when it could not start."""
     scenario = request.scenario
@@ -198,14 +207,18 @@ def run(request: Request, progress: Progress | None = None, prepare: Callable[[A
             failure = error
         elapsed = time.monotonic() - first
         memory = {name: _resident(pid) for name, pid in assembly.pids.items()}
+        link = None
+        if failure is None and request.backend == "processes":
+            with contextlib.suppress(HilError):  # ended just now
+                link = assembly.system.controller.link_report()
         assembly.family.end()
         recorder = assembly.recorder
-    return _conclude(request, system, recorder, failure, elapsed, start_up, memory, assembly.world)
+    return _conclude(request, system, recorder, failure, elapsed, start_up, memory, assembly.world, link)
 
 
 def _conclude(
     request: Request, system: Any, recorder: Any, failure: HilError | None, elapsed: float, start_up: float,
-    memory: dict[str, int], world: Any,
+    memory: dict[str, int], world: Any, link: dict[str, Any] | None,
 ) -> Outcome:  # fmt: skip
     from hil.verdict import judge
 
@@ -234,6 +247,7 @@ def _conclude(
         "start_up_time": start_up,
         "memory_bytes": {**memory, "sum": sum(memory.values())},
         "wall_clock": system.clock.report(),
+        "link": link,
         "injected": system.injected,
         "out": None if request.out is None else str(request.out),
         "versions": versions(),

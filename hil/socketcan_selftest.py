@@ -59,7 +59,7 @@ class Candump:
         deadline = time.monotonic() + _PATIENCE_S
         while not re.search(rf"^ +{re.escape(interface)} ", Path("/proc/net/can/rcvlist_all").read_text(), re.M):
             _expect(time.monotonic() < deadline and self._process.poll() is None, f"candump does not hear {interface}")
-            os.sched_yield()
+            time.sleep(0.005)
 
     def frames(self, count: int) -> list[Any]:
         """The first ``count`` frames that it has printed and what it has printed beside."""
@@ -200,7 +200,7 @@ def _canopen_master() -> str:
             while {master.nmt.state for master in nodes.values()} != {"OPERATIONAL"}:
                 _expect(time.monotonic() < deadline, "canopen has not heard all heartbeats")
                 leg.tick()
-                time.sleep(0)  # the master's thread
+                time.sleep(0.001)  # the master's thread
             found = sorted(network.scanner.nodes)
             _expect(found == sorted(nodes), f"canopen's scanner found {found}, not {sorted(nodes)}")
         finally:
@@ -246,7 +246,7 @@ def _canopen_sdo() -> str:
             requests = sum(frame.id & 0x780 == 0x600 for frame in heard)
             leg._waiting = [n + requests for n in leg._waiting]
             leg.tick()
-            time.sleep(0)
+            time.sleep(0.001)
         network.disconnect()
         watcher.shutdown()
         leg.close()

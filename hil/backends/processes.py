@@ -20,8 +20,18 @@ import zenoh
 from bus.frames import Frame
 from bus.ports import ShmPort
 from bus.python_can import HilBus
-from bus.zenoh_link import bundle_sequence, declare_publisher, encode_bundle, keys, session_config
-from hil.backends.inline import read_reply
+from bus.zenoh_link import (
+    Bundle,
+    MalformedBundleError,
+    Refused,
+    declare_publisher,
+    decode_bundle,
+    encode_bundle,
+    keys,
+    peer_config,
+    session_config,
+)
+from hil.backends.inline import commands_of
 from hil.backends.lifecycle import Family, quiet_collector
 from hil.backends.state_pipe import connections, receive, serve_pipe
 from hil.errors import EmulationError
@@ -152,28 +162,29 @@ def _joint_main(
 class ProcessController:
     """The controller in its own process, behind Zenoh: one sample with all that arrived, one sample as the answer.
 
-    Answers are awaited by their sequence number.
+    Answers are awaited by their sequence number; any other sample is counted in ``refused`` and ignored.
+
+    Args:
+        where: where to meet, as of ``bus.zenoh_link.peer_config``; None: a session of this run's own, on loopback.
     """
 
-    def __init__(self, family: Family, run: str, scenario: Scenario, router: str | None) -> None:
+    def __init__(self, family: Family, run: str, scenario: Scenario, where: str | None) -> None:
         self._family = family
         self._run = run
         self._sequence = 0
-        self.malformed = 0
+        self.refused = Refused()
         self.session: zenoh.Session | None = None
-        self.endpoint = router or f"tcp/127.0.0.1:{_free_port()}"
-        self._router = router
+        self.endpoint = where or f"tcp/127.0.0.1:{_free_port()}"
+        self._own = where is None
         self._pipe, theirs = connections()
         family.execute("controller", "hil.backends.controller_node", theirs)
-        self._pipe.send((run, scenario.robot, scenario.controller, self._router))
+        self._pipe.send((run, scenario.robot, scenario.controller))
 
-    def open(self) -> zenoh.Session:
+    def open(self, values: int) -> zenoh.Session:
         """Open the launcher's session (after all children were forked: a session has threads) and meet the
-        controller's. Returns the session."""
-        if self._router:
-            config = session_config(None, self._router, router=True)
-        else:
-            config = session_config(self.endpoint, None)
+        controller's, whose answers carry ``values`` numbers. Returns the session."""
+        self._values = values
+        config = session_config(self.endpoint, None) if self._own else peer_config(self.endpoint)
         try:
             self.session = zenoh.open(config)
         except zenoh.ZError as error:
@@ -200,26 +211,27 @@ class ProcessController:
         self._publisher.put(encode_bundle(self._sequence, now_ns, items))
 
     def finish(self) -> tuple[list[Item], np.ndarray]:
-        commands, telemetry, _ = read_reply(self._family.wait(self._answer, "the controller"))
-        return commands, telemetry
+        reply = self._family.wait(self._answer, "the controller")
+        return commands_of(reply), reply.values
 
-    def _answer(self) -> bytes | None:
+    def _answer(self) -> Bundle | None:
         """The awaited answer, if it has come."""
         sample = self._poll()
         if sample is None:
             return None
-        answer = sample.payload.to_bytes()
         try:
-            if bundle_sequence(answer) == self._sequence:
-                return answer
-        except ValueError:
-            pass
-        self.malformed += 1
+            reply = decode_bundle(sample.payload.to_bytes())
+        except MalformedBundleError as error:
+            self.refused.count(error)
+            return None
+        if reply.sequence == self._sequence and len(reply.values) == self._values:
+            return reply
+        self.refused.unexpected += 1
         return None
 
     def _ask(self, request: tuple[str, Any]) -> Any:
-        self._publisher.put(b"")  # an empty sample: look at the pipe
         self._pipe.send(request)
+        self._publisher.put(b"")  # an empty sample: look at the pipe
         return receive(self._family, self._pipe)
 
     def snapshot(self) -> Any:
@@ -227,6 +239,10 @@ class ProcessController:
 
     def restore(self, state: Any) -> None:
         self._ask(("restore", state))
+
+    def link_report(self) -> dict[str, dict[str, int]]:
+        """Samples that were ignored, at either end of the link, by reason."""
+        return {"launcher": self.refused.report(), "controller": self._ask(("refused", None))}
 
 
 def _free_port() -> int:
