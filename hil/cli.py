@@ -85,6 +85,14 @@ def _parser() -> argparse.ArgumentParser:
         help="what carries the joints' frames: shared memory (default), SocketCAN with the emulated wire between the "
         "interfaces of the joints, or one plain SocketCAN interface per bus",
     )  # fmt: skip
+    run.add_argument(
+        "--external", type=_natural, action="append", default=[], metavar="NODE",
+        help="leave the joint with this node id to real hardware on its SocketCAN interface; repeatable",
+    )  # fmt: skip
+    run.add_argument(
+        "--interface", action="append", default=[], metavar="NAME=CAN",
+        help="with --can socketcan…: use the interface CAN (can0) in place of NAME (left_leg.6); repeatable",
+    )  # fmt: skip
     run.add_argument("--video", action="store_true", help="also write video.mp4")
     run.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
     run.set_defaults(command=_run)
@@ -173,6 +181,7 @@ def _run(options: argparse.Namespace) -> int:
             raise UserError(f"--zenoh-config {error}") from None
     if options.can != "shm" and options.backend == "inline":
         raise UserError(f"--can {options.can} has no meaning with --backend inline: nothing leaves the process there")
+    interfaces = _interfaces(options)
     if options.can != "shm":
         from bus.socketcan import SocketCanError, require
 
@@ -186,7 +195,8 @@ def _run(options: argparse.Namespace) -> int:
 
     request = Request(
         scenario, options.seed, options.backend, options.clock, out, video=options.video, zenoh=options.zenoh,
-        can=options.can, zenoh_config=options.zenoh_config,
+        zenoh_config=options.zenoh_config, can=options.can, external=tuple(dict.fromkeys(options.external)),
+        interfaces=interfaces,
     )  # fmt: skip
     try:
         if options.json:
@@ -209,6 +219,19 @@ def _run(options: argparse.Namespace) -> int:
         raise
     _print_outcome(outcome.record)
     return outcome.exit_status
+
+
+def _interfaces(options: argparse.Namespace) -> dict[str, str]:
+    """``--interface`` as names by the names that they replace; checks ``--external``, too."""
+    if options.interface and options.can == "shm":
+        raise UserError("--interface needs --can socketcan or --can socketcan-plain")
+    if options.external and (options.can != "socketcan" or options.clock != "wall"):
+        raise UserError("--external needs --can socketcan and --clock wall: real hardware keeps its own time")
+    pairs = [text.partition("=") for text in options.interface]
+    for text, (name, _, interface) in zip(options.interface, pairs, strict=True):
+        if not name or not interface:
+            raise UserError(f"--interface {text}: expected NAME=CAN, for example left_leg.6=can0")
+    return {name: interface for name, _, interface in pairs}
 
 
 def _with_second(text: str) -> str:

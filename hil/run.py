@@ -8,7 +8,7 @@ import os
 import platform
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from importlib import metadata
 from pathlib import Path
@@ -38,6 +38,8 @@ class Request:
     zenoh: str | None = None  # endpoint of a router to join
     zenoh_config: Path | None = None  # Zenoh's configuration of both sessions, instead
     can: str = "shm"  # what carries the joints' frames; or "socketcan", "socketcan-plain"
+    external: tuple[int, ...] = ()  # node ids of joints that are real hardware on their SocketCAN interface
+    interfaces: Mapping[str, str] = field(default_factory=dict)  # SocketCAN interfaces to use in place of others
     report: bool = True
 
 
@@ -88,7 +90,7 @@ def assemble(request: Request, wrap: Callable[[str, Any], Any] = lambda _, node:
         if request.can != "shm":
             from hil.backends.socketcan import SocketCan
 
-            kernel = stack.enter_context(SocketCan(robot, scenario, request.can))
+            kernel = stack.enter_context(SocketCan(robot, scenario, request.can, request.external, request.interfaces))
         family = stack.enter_context(Family())
         if request.clock == "wall":
             clock: VirtualClock | WallClock = WallClock(round(1e9 / scenario.firmware.rate))
@@ -98,7 +100,15 @@ def assemble(request: Request, wrap: Callable[[str, Any], Any] = lambda _, node:
 
         from joint_firmware.firmware import JointFirmware
 
-        nodes = [JointFirmware(robot, j, scenario.firmware, compile=compile_function) for j in range(len(robot.joints))]
+        nodes: list[Any] = [
+            JointFirmware(robot, j, scenario.firmware, compile=compile_function) for j in range(len(robot.joints))
+        ]
+        if request.external:
+            from hil.backends.external import ExternalJoint
+
+            for j, joint in enumerate(robot.joints):
+                if joint.node_id in request.external:
+                    nodes[j] = ExternalJoint(joint)
         run_name = request.out.name if request.out is not None else f"run-{os.getpid()}"
         joints: Any
         controller: Any
@@ -238,6 +248,7 @@ def _conclude(
         "backend": request.backend,
         "clock": request.clock,
         "can": request.can,
+        "external": list(request.external),
         "verdict": name,
         "reason": reason,
         "metrics": verdict.metrics,

@@ -18,7 +18,7 @@ from __future__ import annotations
 import contextlib
 import mmap
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import can
@@ -67,20 +67,28 @@ class _NodePort:
         self._counts[_SENT] += 1
 
 
+class _ListeningPort(_NodePort):
+    """Beside a real drive on its interface: takes what has come, as nobody knows when it sends."""
+
+    def recv_frames(self) -> list[Frame]:
+        return self._port.waiting()[1]
+
+
 class _SocketCanJoints(ProcessJoints):
     """What both ways share: joints whose ports are interfaces, and how many frames passed them."""
 
     def __init__(
         self, family: Family, nodes: Sequence[JointFirmware], names: Sequence[str], interfaces: Sequence[str],
-        shared: SharedPins,
+        shared: SharedPins, external: frozenset[int] = frozenset(),
     ) -> None:  # fmt: skip
+        self._external = external
         memory = memoryview(mmap.mmap(-1, 16 * len(nodes))).cast("q")
         self._counts = [memory[2 * j : 2 * j + 2] for j in range(len(nodes))]
         self._seen = [0] * len(nodes)
         super().__init__(family, nodes, names, interfaces, shared)
 
     def _firmware_port(self, joint: int, channel: str, shared: SharedPins) -> Any:
-        return _NodePort(channel, self._counts[joint])
+        return (_ListeningPort if joint in self._external else _NodePort)(channel, self._counts[joint])
 
     def _sent(self, joint: int) -> int:
         """How many frames the joint has sent since the last call."""
@@ -178,11 +186,11 @@ class PlainJoints(_SocketCanJoints):
 
     foreign = 0  # frames of tools
 
-    def connect(self, robot: Robot) -> list[KernelWire]:
+    def connect(self, robot: Robot, interfaces: Sequence[str]) -> list[KernelWire]:
         """Open the launcher's ends, once all joints are there. Returns the buses."""
         order = {name: j for j, name in enumerate(robot.joint_names)}
         ids = {joint.name: joint.node_id for joint in robot.joints}
-        self._ends = [SocketCanPort(bus.name) for bus in robot.buses]
+        self._ends = [SocketCanPort(name) for name in interfaces]
         self._joints_of = [[order[name] for name in bus.joints] for bus in robot.buses]
         self._waiting = [0] * len(ids)  # frames of the last tick on the way to each joint
         self._now = 0
@@ -271,6 +279,16 @@ class Taps:
             tap.close()
 
 
+def external_joints(robot: Robot, node_ids: Sequence[int]) -> frozenset[int]:
+    """Indices of the joints with these node ids. Raises UserError for an id that no joint has."""
+    index = {joint.node_id: j for j, joint in enumerate(robot.joints)}
+    for node in node_ids:
+        if node not in index:
+            listed = ", ".join(f"{joint.node_id} ({joint.name})" for joint in robot.joints)
+            raise UserError(f"--external {node}: no joint has this node id; there are {listed}")
+    return frozenset(index[node] for node in node_ids)
+
+
 def interface_names(robot: Robot, mode: str) -> tuple[list[str], list[str]]:
     """Interfaces of the buses, and those of the joints in the order of the robot's."""
     buses = [bus.name for bus in robot.buses]
@@ -283,14 +301,35 @@ def interface_names(robot: Robot, mode: str) -> tuple[list[str], list[str]]:
 class SocketCan:
     """SocketCAN for one run: its interfaces, for as long as the context lasts, and what takes the place of the default.
 
-    Raises UserError where SocketCAN cannot be had, and for a scenario that wants faults of a plain bus.
+    Args:
+        robot: its buses and node ids name the interfaces.
+        scenario: must not want faults of a plain bus.
+        mode: one of MODES.
+        external: node ids of joints that are real hardware.
+        renamed: other interfaces to use (``can0``) by the name that they would have (``left_leg.6``).
+
+    Raises UserError where SocketCAN cannot be had, and for what the arguments must not be.
     """
 
-    def __init__(self, robot: Robot, scenario: Scenario, mode: str) -> None:
+    def __init__(
+        self, robot: Robot, scenario: Scenario, mode: str, external: Sequence[int] = (),
+        renamed: Mapping[str, str] | None = None,
+    ) -> None:  # fmt: skip
         self._robot, self._mode = robot, mode
+        self._external = external_joints(robot, external)
         if mode == "socketcan-plain":
             _refuse_faults(scenario)
-        self._buses, self._of_joints = interface_names(robot, mode)
+        buses, joints = interface_names(robot, mode)
+        renamed = renamed or {}
+        for name in renamed:
+            if name not in buses and name not in joints:
+                listed = ", ".join(dict.fromkeys([*buses, *joints]))
+                raise UserError(f"--interface {name}={renamed[name]}: there is no {name}, only {listed}")
+        self._buses = [renamed.get(name, name) for name in buses]
+        self._of_joints = [renamed.get(name, name) for name in joints]
+        distinct = {*buses, *joints}
+        if len({*self._buses, *self._of_joints}) < len(distinct):
+            raise UserError("--interface: one interface cannot take the place of two")
         self._joints: TimedJoints | PlainJoints | None = None
 
     def __enter__(self) -> SocketCan:
@@ -309,7 +348,7 @@ class SocketCan:
         """The joints' processes."""
         kind = PlainJoints if self._mode == "socketcan-plain" else TimedJoints
         try:
-            self._joints = kind(family, nodes, self._robot.joint_names, self._of_joints, shared)
+            self._joints = kind(family, nodes, self._robot.joint_names, self._of_joints, shared, self._external)
         except SocketCanError as error:
             raise UserError(str(error)) from None
         return self._joints
@@ -317,7 +356,7 @@ class SocketCan:
     def connect(self, system: Any) -> None:
         """Put the kernel where it belongs in a system that was built for the default."""
         if isinstance(self._joints, PlainJoints):
-            system.wires = self._joints.connect(self._robot)
+            system.wires = self._joints.connect(self._robot, self._buses)
         elif self._joints is not None:
             self._joints.connect(self._of_joints)
 

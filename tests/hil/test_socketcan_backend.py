@@ -3,16 +3,18 @@
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from bus import messages
 from bus.frames import Frame
 from hil.backends import socketcan
+from hil.backends.external import ExternalJoint
 from hil.backends.socketcan import KernelWire, SocketCan, Taps, ToolInterfaces, interface_names
 from hil.cli import main
 from hil.errors import UserError
 from hil.scenario import load
-from robots import description
+from robots import description, pins
 
 HUME = description.load("hume")
 
@@ -48,6 +50,50 @@ def test_a_kernel_without_can_is_refused_before_anything_is_made(
     assert main(["run", "stand", "--can", "socketcan", "--out", str(tmp_path / "run")]) == 2
     assert "this kernel has no CAN sockets" in capsys.readouterr().err
     assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "complaint"),
+    [
+        (["--interface", "left_leg.6=can0"], "--interface needs --can socketcan"),
+        (["--external", "3"], "--external needs --can socketcan and --clock wall"),
+        (["--external", "3", "--can", "socketcan"], "--external needs --can socketcan and --clock wall"),
+        (["--external", "3", "--can", "socketcan-plain", "--clock", "wall"], "--external needs --can socketcan and"),
+        (["--can", "socketcan", "--interface", "can0"], "--interface can0: expected NAME=CAN"),
+    ],
+)
+def test_options_that_do_not_go_together(
+    capsys: pytest.CaptureFixture[str], arguments: list[str], complaint: str
+) -> None:
+    assert main(["run", "stand", *arguments]) == 2
+    assert complaint in capsys.readouterr().err
+
+
+def test_external_joints_and_interfaces_by_name() -> None:
+    scenario = load("stand", [])
+    with pytest.raises(UserError, match=r"--external 9: no joint has this node id; there are 1 \(right_abduction\), 2"):
+        SocketCan(HUME, scenario, "socketcan", external=[9])
+    with pytest.raises(UserError, match=r"there is no left_knee, only right_leg, left_leg, right_leg.1, "):
+        SocketCan(HUME, scenario, "socketcan", renamed={"left_knee": "can0"})
+    with pytest.raises(UserError, match="cannot take the place of two"):
+        SocketCan(HUME, scenario, "socketcan", renamed={"left_leg.6": "can0", "left_leg.5": "can0"})
+    SocketCan(HUME, scenario, "socketcan", [3, 6], {"right_leg.3": "can0", "left_leg.6": "can1"})
+
+
+def test_an_external_joint_drives_the_plant_with_the_current_it_reports() -> None:
+    joint = ExternalJoint(HUME.joints[2])
+    outputs = np.zeros(pins.N_OUTPUTS, np.int32)
+    joint.attach(np.zeros(pins.N_INPUTS, np.int32), outputs)
+    state = messages.State(0, messages.Statusword.OPERATION_ENABLED, 0.1, 0.0, 5.0, -2.5, 0.0, 0, 0, 30)
+    report = Frame(messages.STATE + 3, messages.encode_state(state))
+    assert joint.tick(0, [Frame(messages.COMMAND, bytes(64)), report]) == []
+    assert outputs.tolist() == [-250, 1]
+    other = Frame(messages.STATE + 2, messages.encode_state(state._replace(current=9.0)))
+    joint.tick(1, [other, Frame(messages.STATE + 3, b"short")])
+    assert outputs.tolist() == [-250, 1] and joint.malformed == 1
+    off = messages.encode_state(state._replace(statusword=messages.Statusword.FAULT))
+    joint.tick(2, [Frame(messages.STATE + 3, off)])
+    assert outputs.tolist() == [0, 0]
 
 
 class FakeEnd:
