@@ -62,7 +62,7 @@ class Candump:
             time.sleep(0.005)
 
     def frames(self, count: int) -> list[Any]:
-        """The first ``count`` frames that it has printed and what it has printed beside."""
+        """At least the next ``count`` frames that it prints."""
         import can
 
         from bus.python_can import to_frame
@@ -221,6 +221,8 @@ def _canopen_sdo() -> str:
 
     with Interfaces([Leg.interface]):
         leg = Leg()
+        for _ in range(20):  # a drive that boots does not answer
+            leg.tick()
         network = canopen.Network()
         network.connect(interface="socketcan", channel=Leg.interface, fd=True)
         done = threading.Event()
@@ -298,6 +300,41 @@ def _plain_run() -> str:
     return f"{_DURATION} of stand twice, digest {digest[:16]}; {frames} frames seen by candump as logged"
 
 
+def _external_joint() -> str:
+    """A run in wall-clock time leaves one joint to a drive that is a program of its own on the joint's interface."""
+    if importlib.util.find_spec("hil.joint_command") is None:
+        raise NotRun("this version has no `hil joint`")
+    from bus import messages
+    from hil.run import Request, run
+    from hil.scenario import load
+
+    interface, node = "right_leg.3", 3
+    command = [sys.executable, "-m", "hil", "joint", "--node", str(node), "--can", f"socketcan:{interface}"]
+    with tempfile.TemporaryDirectory() as scratch, contextlib.ExitStack() as stack:
+        candumps = []
+
+        def prepare(_: Any) -> None:
+            candumps.append(stack.enter_context(Candump(interface)))
+            drive = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL)
+            stack.callback(drive.wait)
+            stack.callback(drive.kill)
+            candumps[0].frames(1)  # it is there
+
+        scenario = load("stand", [f"duration={_DURATION}"])
+        out = Path(scratch) / "selftest-external"
+        record = run(
+            Request(scenario, clock="wall", out=out, report=False, can="socketcan", external=(node,)), prepare=prepare
+        ).record
+        _expect(record["verdict"] != "failed", record["reason"])
+        log = (out / "right_leg.log").read_text()
+        states = log.count(f" {messages.STATE + node:03X}#")
+        seen = [frame.id for frame in candumps[0].frames(1)]
+    _expect(states > 0, "the run has not heard the drive")
+    _expect(messages.COMMAND in seen, "no command has reached the drive's interface")
+    commands = seen.count(messages.COMMAND)
+    return f"node {node} by `hil joint`: {states} of its states in the log of the run, {commands} commands to it"
+
+
 def _removal() -> str:
     """Interfaces go with the process that made them, also when it is killed."""
     from bus.socketcan import exists
@@ -311,7 +348,7 @@ def _removal() -> str:
     while exists("hiltest2"):
         _expect(time.monotonic() < deadline, "hiltest2 is still there")
         time.sleep(0.01)
-    names = [name for name in ("left_leg", "left_leg.6", Leg.interface) if exists(name)]
+    names = [name for name in ("left_leg", "left_leg.6", "right_leg.3", Leg.interface) if exists(name)]
     _expect(not names, f"left behind: {names}")
     return "interfaces of a killed process and of the runs before are gone"
 
@@ -323,6 +360,7 @@ TESTS: dict[str, Callable[[], str]] = {
     "canopen SDO": _canopen_sdo,
     "timed run": _timed_run,
     "plain run": _plain_run,
+    "external joint": _external_joint,
     "removal": _removal,
 }
 
