@@ -24,7 +24,7 @@ from typing import IO, Any, NamedTuple
 
 from hil.errors import EXIT_EMULATION, EmulationError, UserError
 
-_LIMIT_S = 180.0
+_LIMIT_S = 300.0
 _DURATION = "50ms"  # simulated, of each run
 _PATIENCE_S = 20.0  # for what must come at once, on a slow machine
 _LINE = re.compile(r"(ok|FAILED|not run) +([^:]+): (.*)")
@@ -50,14 +50,21 @@ def _expect(condition: bool, what: str) -> None:
         raise EmulationError(what)
 
 
-class Candump:
-    """``candump -L`` of can-utils on one interface."""
+def _listeners(interface: str) -> int:
+    """How many receivers the kernel has for the frames of an interface."""
+    tables = "".join(path.read_text() for path in Path("/proc/net/can").glob("rcvlist_*"))
+    return len(re.findall(rf"^ +{re.escape(interface)} +[0-9a-f]", tables, re.M))
 
-    def __init__(self, interface: str) -> None:
-        command = ["candump", "-L", interface]
+
+class Candump:
+    """``candump -L`` of can-utils on one interface; ``match``: only for identifiers that match (``200:7FF``)."""
+
+    def __init__(self, interface: str, match: str = "") -> None:
+        before = _listeners(interface)
+        command = ["candump", "-L", f"{interface},{match}" if match else interface]
         self._process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL)
         deadline = time.monotonic() + _PATIENCE_S
-        while not re.search(rf"^ +{re.escape(interface)} ", Path("/proc/net/can/rcvlist_all").read_text(), re.M):
+        while _listeners(interface) == before:
             _expect(time.monotonic() < deadline and self._process.poll() is None, f"candump does not hear {interface}")
             time.sleep(0.005)
 
@@ -309,16 +316,19 @@ def _external_joint() -> str:
     from hil.scenario import load
 
     interface, node = "right_leg.3", 3
-    command = [sys.executable, "-m", "hil", "joint", "--node", str(node), "--can", f"socketcan:{interface}"]
+    options = ["--node", str(node), "--can", f"socketcan:{interface}", "--rate", "300Hz"]
     with tempfile.TemporaryDirectory() as scratch, contextlib.ExitStack() as stack:
         candumps = []
 
-        def prepare(_: Any) -> None:
-            candumps.append(stack.enter_context(Candump(interface)))
-            drive = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL)
+        def prepare(assembly: Any) -> None:
+            for pid in assembly.pids.values():  # real-time priority, late and on one core, would starve the drive
+                os.sched_setscheduler(pid, os.SCHED_OTHER, os.sched_param(0))
+            candumps.append(stack.enter_context(Candump(interface, f"{messages.COMMAND:X}:7FF")))
+            states = stack.enter_context(Candump(interface, f"{messages.STATE + node:X}:7FF"))
+            drive = subprocess.Popen([sys.executable, "-m", "hil", "joint", *options], stdout=subprocess.DEVNULL)
             stack.callback(drive.wait)
             stack.callback(drive.kill)
-            candumps[0].frames(1)  # it is there
+            states.frames(1)  # it is there
 
         scenario = load("stand", [f"duration={_DURATION}"])
         out = Path(scratch) / "selftest-external"
@@ -328,11 +338,9 @@ def _external_joint() -> str:
         _expect(record["verdict"] != "failed", record["reason"])
         log = (out / "right_leg.log").read_text()
         states = log.count(f" {messages.STATE + node:03X}#")
-        seen = [frame.id for frame in candumps[0].frames(1)]
+        commands = len(candumps[0].frames(1))
     _expect(states > 0, "the run has not heard the drive")
-    _expect(messages.COMMAND in seen, "no command has reached the drive's interface")
-    commands = seen.count(messages.COMMAND)
-    return f"node {node} by `hil joint`: {states} of its states in the log of the run, {commands} commands to it"
+    return f"node {node} by `hil joint`: {states} of its states in the run's log, {commands} commands seen by candump"
 
 
 def _removal() -> str:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import mmap
 import os
 import socket
+import time
 from collections.abc import Sequence
 from multiprocessing.connection import Connection
 from typing import TYPE_CHECKING, Any
@@ -197,6 +198,7 @@ class ProcessController:
         receive(self._family, self._pipe)  # its session stands, its controller is built
         while not self._publisher.matching_status.matching:
             self._family.check()
+            time.sleep(0.001)  # with real-time priority on one core, a busy wait would keep the other end from coming
         return self.session
 
     def close(self) -> None:

@@ -28,7 +28,7 @@ def require_guest() -> None:
 
 def test_everything_works_over_a_kernel_with_can(tmp_path: Path) -> None:
     log = tmp_path / "console.log"
-    done = subprocess.run([*COMMAND, "--json", "--log", str(log)], capture_output=True, text=True, timeout=300)
+    done = subprocess.run([*COMMAND, "--json", "--log", str(log)], capture_output=True, text=True, timeout=400)
     if done.returncode == 2:
         pytest.skip(done.stderr)
     console = log.read_text() if log.exists() else ""
