@@ -66,16 +66,18 @@ def commands(names: Sequence[str]) -> str:
 class Interfaces:
     """The interfaces of a run: those that exist are used as they are, the others are created and removed on ``close``.
 
-    Raises SocketCanError when the kernel has no CAN sockets, for a name that no interface can have, and when an
-    interface is missing and may not be created.
+    Raises SocketCanError when the kernel has no CAN sockets, for a name that no interface can have, when another run
+    uses an interface, and when one is missing and may not be created.
     """
 
     def __init__(self, names: Sequence[str]) -> None:
         self._remover: subprocess.Popen[bytes] | None = None
+        self._claims: list[socket.socket] = []
         require()
         for name in names:
             if not 0 < len(name.encode()) <= NAME_LENGTH or set(name) & set("/: \t\n") or name in (".", ".."):
                 raise SocketCanError(f"{name!r} cannot name a network interface: at most {NAME_LENGTH} bytes")
+        self._claim(names)
         missing = [name for name in names if not exists(name)]
         if not missing:
             return
@@ -95,6 +97,17 @@ class Interfaces:
                 f"CAN interface {missing[0]} is missing and cannot be created ({reason}); type: {commands(missing)}"
             ) from None
 
+    def _claim(self, names: Sequence[str]) -> None:
+        """Keep other runs off: an abstract address per interface, which belongs to the network namespace as it does."""
+        for name in names:
+            claim = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+            self._claims.append(claim)
+            try:
+                claim.bind(f"\0hume-hil/can/{name}")
+            except OSError:
+                self.close()
+                raise SocketCanError(f"another run uses the CAN interface {name}") from None
+
     @staticmethod
     def _ip(*arguments: str) -> None:
         subprocess.run(
@@ -106,6 +119,9 @@ class Interfaces:
         if self._remover is not None:
             self._remover.communicate()
             self._remover = None
+        for claim in self._claims:
+            claim.close()
+        self._claims.clear()
 
     def __enter__(self) -> Interfaces:
         return self

@@ -43,6 +43,16 @@ def test_existing_interfaces_are_used_as_they_are(monkeypatch: pytest.MonkeyPatc
     Interfaces(["can0"]).close()
 
 
+def test_two_runs_do_not_share_an_interface(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(socketcan, "supported", lambda: True)
+    monkeypatch.setattr(socketcan, "exists", lambda name: True)
+    with Interfaces(["shared.1", "shared.2"]):
+        with pytest.raises(SocketCanError, match=r"another run uses the CAN interface shared\.2"):
+            Interfaces(["shared.3", "shared.2"])
+        Interfaces(["shared.3"]).close()  # the one that was refused keeps nothing
+    Interfaces(["shared.1", "shared.2"]).close()
+
+
 def test_only_a_can_interface_counts_as_one() -> None:
     assert not exists("lo")
     assert not exists("nosuchinterface")
