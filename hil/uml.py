@@ -23,7 +23,7 @@ _MODULES = Path("/usr/lib/uml/modules")
 _KERNEL = "linux.uml"
 _STATUS = "uml-init: status "  # begins the last line that the boot script writes
 _MEMORY_MB = 1536  # the file behind it is sparse
-# Paths without AVX only: with it, runs in the guest did not repeat to the bit from one boot to the next.
+# Without AVX: with it, runs had another digest in a few boots of many, for a reason that was not found.
 _ENVIRONMENT = {
     "OPENBLAS_CORETYPE": "Nehalem",
     "NPY_DISABLE_CPU_FEATURES": "X86_V3 X86_V4 AVX512_ICL AVX512_SPR",
