@@ -106,7 +106,9 @@ class Interfaces:
                 claim.bind(f"\0hume-hil/can/{name}")
             except OSError:
                 self.close()
-                raise SocketCanError(f"another run uses the CAN interface {name}") from None
+                raise SocketCanError(
+                    f"another run uses the CAN interface {name}: give this one others with --interface {name}=…"
+                ) from None
 
     @staticmethod
     def _ip(*arguments: str) -> None:
