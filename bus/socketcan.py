@@ -13,7 +13,7 @@ from types import TracebackType
 
 import can
 
-from bus.frames import Frame
+from bus.frames import ErrorFrame, Frame
 from bus.python_can import to_frame, to_message
 
 NAME_LENGTH = 15  # longest name of a network interface (IFNAMSIZ without its zero)
@@ -152,6 +152,13 @@ class SocketCanPort:
     def send_frame(self, frame: Frame) -> None:
         """Hand ``frame`` to the kernel. Raises can.CanOperationError when it does not take it."""
         self._bus.send(to_message(frame, 0, self.channel))
+
+    def send_error(self, error: ErrorFrame) -> None:
+        """Show ``error`` to who asks for error frames on this interface (``candump -e``)."""
+        identifier, data = error
+        self._bus.send(
+            can.Message(arbitration_id=identifier, is_extended_id=False, is_error_frame=True, dlc=len(data), data=data)
+        )
 
     def take(self, count: int, timeout: float) -> list[Frame]:
         """The next ``count`` frames. Raises LostFramesError when one does not come for ``timeout`` seconds."""

@@ -104,7 +104,9 @@ def _carried(frame: Any) -> bool:
 
 def _every_length() -> str:
     """Every kind and length of frame crosses the kernel unchanged."""
-    from bus.frames import CAN_FD_LENGTHS, Frame
+    import can
+
+    from bus.frames import CAN_FD_LENGTHS, ErrorFrame, Frame
     from bus.socketcan import Interfaces, SocketCanPort
 
     frames = [Frame(0x7FF, bytes(range(n)), False, False) for n in range(9)]
@@ -119,9 +121,14 @@ def _every_length() -> str:
             sender.send_frame(frame)
         _expect(receiver.take(len(frames), _PATIENCE_S) == frames, "python-can received other frames than were sent")
         _expect(candump.frames(len(frames)) == frames, "candump saw other frames than were sent")
-        sender.shutdown()
         receiver.shutdown()
-    return f"{len(frames)} frames, classical and FD, 11 and 29 bit, seen by a socket and by candump"
+        with can.Bus(interface="socketcan", channel="hiltest0", fd=True) as stock:
+            sender.send_error(ErrorFrame(0x20C, bytes([0, 8, 0, 0, 0, 0, 120, 0])))
+            heard = stock.recv(_PATIENCE_S)
+        told = heard is not None and heard.is_error_frame and heard.arbitration_id == 0x20C
+        _expect(told, f"an error frame was received as {heard}")
+        sender.shutdown()
+    return f"{len(frames)} frames, all kinds and lengths, seen by a socket and by candump; an error frame by python-can"
 
 
 class Leg:

@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, Any
 import can
 
 from bus import messages
-from bus.frames import Frame
+from bus.frames import ErrorFrame, Frame
 from bus.link import NEVER
 from bus.socketcan import Interfaces, LostFramesError, SocketCanError, SocketCanPort
 from bus.wire import Delivery
@@ -169,6 +169,14 @@ class KernelWire:
     def error_frames(self) -> list[Any]:
         return []
 
+    def ports_state(self, port: int) -> tuple[int, int, int]:
+        """No errors are counted: error active."""
+        return 0, 0, 0
+
+    @property
+    def counts(self) -> dict[str, int]:
+        return {"sent": self.sent}
+
     def waits(self) -> dict[Any, Any]:
         return {}
 
@@ -248,6 +256,18 @@ class ToolInterfaces:
         with _reported():
             self._ends[bus].send_frame(frame)
 
+    def broadcast_error(self, bus: int, time_ns: int, sender: int, error: ErrorFrame) -> None:
+        with _reported():
+            self._ends[bus].send_error(error)
+
+    def set_state(self, bus: int, tec: int, rec: int, state: int) -> None:
+        """SocketCAN tells of a controller's state by error frames alone."""
+
+    def refused(self, bus: int, frame: Frame) -> None:
+        """The wire has not taken ``frame``, which is not to be left out when somebody else sends it."""
+        if frame in self._own[bus]:
+            self._own[bus].remove(frame)
+
     def poll(self) -> list[tuple[int, Frame]]:
         received = []
         for bus, end in enumerate(self._ends):
@@ -266,13 +286,29 @@ class Taps:
 
     def __init__(self, taps: Sequence[Any]) -> None:
         self._taps = list(taps)
+        self._polled: list[tuple[Any, tuple[int, Frame]]] = []
 
     def broadcast(self, bus: int, time_ns: int, sender: int, frame: Frame) -> None:
         for tap in self._taps:
             tap.broadcast(bus, time_ns, sender, frame)
 
     def poll(self) -> list[tuple[int, Frame]]:
-        return [item for tap in self._taps for item in tap.poll()]
+        self._polled = [(tap, item) for tap in self._taps for item in tap.poll()]
+        return [item for _, item in self._polled]
+
+    def refused(self, bus: int, frame: Frame) -> None:
+        """A frame of the last ``poll``: told to the tap that it is from."""
+        for tap, (its_bus, its_frame) in self._polled:
+            if its_bus == bus and its_frame is frame:
+                tap.refused(bus, frame)
+
+    def broadcast_error(self, bus: int, time_ns: int, sender: int, error: ErrorFrame) -> None:
+        for tap in self._taps:
+            tap.broadcast_error(bus, time_ns, sender, error)
+
+    def set_state(self, bus: int, tec: int, rec: int, state: int) -> None:
+        for tap in self._taps:
+            tap.set_state(bus, tec, rec, state)
 
     def close(self) -> None:
         for tap in self._taps:

@@ -150,3 +150,16 @@ def test_a_tools_frame_is_not_shown_twice(monkeypatch: pytest.MonkeyPatch) -> No
     assert ends[0].sent == [other]
     taps.broadcast(0, 2, 4, own)  # the same content again is from somebody else
     assert ends[0].sent == [other, own]
+
+
+def test_a_refused_frame_is_told_to_the_tap_that_it_is_from(monkeypatch: pytest.MonkeyPatch) -> None:
+    ends: list[Any] = []
+    monkeypatch.setattr(socketcan, "SocketCanPort", lambda channel: ends.append(FakeEnd(channel)) or ends[-1])
+    first, second = ToolInterfaces(["left_leg"]), ToolInterfaces(["left_leg"])
+    taps = Taps([first, second])
+    frame = Frame(0x601, bytes(8), False, False)
+    ends[1].incoming = [frame]
+    assert taps.poll() == [(0, frame)]
+    taps.refused(0, frame)
+    taps.broadcast(0, 0, 1, frame)  # of another node, now
+    assert ends[0].sent == [frame] and ends[1].sent == [frame]
