@@ -10,7 +10,7 @@ from typing import Any
 
 from bus.frames import ErrorFrame, Frame
 from bus.ports import PortError, PortServer, find_runs
-from bus.zenoh_link import keys, session_config
+from bus.zenoh_link import keys, peer_config
 from hil.errors import EmulationError, HilError, UserError
 from hil.injection import Injectable, injectable
 from hil.scenario import parse_value
@@ -146,7 +146,7 @@ def inject(key: str, value: str, run: str | None = None) -> str:
     if not hello.get("endpoint"):
         raise UserError(f"{name} runs inline, without Zenoh: put the change into its scenario as [[inject]]")
     try:
-        session = zenoh.open(session_config(None, hello["endpoint"]))
+        session = zenoh.open(peer_config(hello["endpoint"]))
     except zenoh.ZError as error:
         raise EmulationError(f"{name} cannot be reached at {hello['endpoint']}: {error}") from None
     try:
