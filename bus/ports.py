@@ -144,9 +144,14 @@ def _address(run: str, channel: str) -> str:
     return f"\0{_PREFIX}/{os.getuid()}/{run}/{channel}"
 
 
-def _peer_uid(connection: socket.socket) -> int:
+def peer(connection: socket.socket) -> tuple[int, int]:
+    """Process and user id of the other side, as the kernel knows them."""
     credentials = connection.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, struct.calcsize("3i"))
-    return struct.unpack("3i", credentials)[1]
+    return struct.unpack("3i", credentials)[:2]
+
+
+def _peer_uid(connection: socket.socket) -> int:
+    return peer(connection)[1]
 
 
 class PortServer:
@@ -156,7 +161,8 @@ class PortServer:
     (``malformed``).
     """
 
-    def __init__(self, channel: str, run: str, endpoint: str | None = None) -> None:
+    def __init__(self, channel: str, run: str, endpoint: str | None = None, **about: Any) -> None:
+        """``about``: what else a client is told when it attaches."""
         self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         self._listener.setblocking(False)
         try:
@@ -167,7 +173,7 @@ class PortServer:
                 raise PortError(f"a run named {run!r} serves {channel!r} already") from None
             raise PortError(f"{run!r}/{channel!r} cannot be served: {error}") from None
         self._listener.listen(_BACKLOG)
-        hello = {"version": VERSION, "run": run, "channel": channel, "endpoint": endpoint}
+        hello = {"version": VERSION, "run": run, "channel": channel, "endpoint": endpoint, **about}
         self._hello = json.dumps(hello).encode()
         self._clients: list[socket.socket] = []
         # what clients sent and the bus has not yet shown
@@ -257,9 +263,9 @@ def served() -> list[tuple[str, str]]:
     return sorted(found)
 
 
-def connect(channel: str) -> tuple[socket.socket, dict[str, Any]]:
+def connect(channel: str, ask_only: bool = False) -> tuple[socket.socket, dict[str, Any]]:
     """Attach to ``channel`` ("left_leg", or "RUN/left_leg" when several runs go on). Returns socket and
-    hello.
+    hello; with ``ask_only`` also that of a bus which takes no more clients.
 
     Raises PortError with what there is.
     """
@@ -288,6 +294,9 @@ def connect(channel: str) -> tuple[socket.socket, dict[str, Any]]:
     if version != VERSION:
         connection.close()
         raise PortError(f"{channel!r} speaks version {version}, this is {VERSION}")
+    if "refused" in hello and not ask_only:
+        connection.close()
+        raise PortError(f"{channel!r} {hello['refused']}")
     return connection, hello
 
 
@@ -298,7 +307,7 @@ def find_runs() -> dict[str, dict[str, Any]]:
         if run in runs:
             continue
         with contextlib.suppress(PortError):
-            connection, hello = connect(f"{run}/{channel}")
+            connection, hello = connect(f"{run}/{channel}", ask_only=True)
             connection.close()
             runs[run] = hello
     return runs

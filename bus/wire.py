@@ -100,6 +100,10 @@ class Wire:
                 self._next = start
         return True
 
+    def waiting(self, port: int) -> int:
+        """How many frames of ``port`` wait in its transmit queue."""
+        return self._queued[port]
+
     def next_time(self) -> int:
         """Time of the next event, ns; NEVER when the bus is idle and nothing is under way."""
         return self._next

@@ -21,6 +21,7 @@ from collections.abc import Sequence  # noqa: E402
 from pathlib import Path  # noqa: E402
 from typing import Any, NoReturn  # noqa: E402
 
+from hil import bus_command  # noqa: E402
 from hil.errors import EXIT_EMULATION, EmulationError, HilError, UserError  # noqa: E402
 
 
@@ -95,6 +96,8 @@ def _parser() -> argparse.ArgumentParser:
     inject.add_argument("--run", metavar="NAME", help="which run, when several are going on")
     inject.add_argument("--list", action="store_true", help="list the keys")
     inject.set_defaults(command=_inject)
+
+    bus_command.add_parser(commands)
     return parser
 
 

@@ -158,7 +158,7 @@ class ProcessController:
         self._sequence = 0
         self.malformed = 0
         self.session: zenoh.Session | None = None
-        self.endpoint = router or f"tcp/127.0.0.1:{_free_port()}"
+        self.endpoint = router or f"tcp/127.0.0.1:{free_port()}"
         self._router = router
         self._pipe, theirs = connections()
         family.execute("controller", "hil.backends.controller_node", theirs)
@@ -226,7 +226,8 @@ class ProcessController:
         self._ask(("restore", state))
 
 
-def _free_port() -> int:
+def free_port() -> int:
+    """A port of the loopback that nobody listens at."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         return probe.getsockname()[1]
