@@ -21,7 +21,7 @@ from collections.abc import Sequence  # noqa: E402
 from pathlib import Path  # noqa: E402
 from typing import Any, NoReturn  # noqa: E402
 
-from hil import bus_command  # noqa: E402
+from hil import bus_command, joint_command  # noqa: E402
 from hil.errors import EXIT_EMULATION, EmulationError, HilError, UserError  # noqa: E402
 
 
@@ -98,6 +98,7 @@ def _parser() -> argparse.ArgumentParser:
     inject.set_defaults(command=_inject)
 
     bus_command.add_parser(commands)
+    joint_command.add_parser(commands)
     return parser
 
 
