@@ -145,23 +145,25 @@ class HilBus(can.BusABC):
 
     def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
         connection = self._open_socket()
-        ready, _, _ = select.select([connection], [], [], timeout)
-        if not ready:
-            return None, False
-        try:
-            record = connection.recv(RECORD_SIZE + 1)
-        except OSError as error:
-            raise can.CanOperationError(f"the emulation has ended ({error})") from None
-        if not record:
-            raise can.CanOperationError("the emulation has ended")
-        try:
-            time_ns, _, frame = unpack_frame(record)
-        except MalformedRecordError as error:
-            raise can.CanOperationError(f"not a frame: {error}") from None
-        own = is_own(record)
-        if own and not self._receive_own:
-            return None, False
-        return to_message(frame, time_ns, self.channel, own), False
+        while True:
+            ready, _, _ = select.select([connection], [], [], timeout)
+            if not ready:
+                return None, False
+            try:
+                record = connection.recv(RECORD_SIZE + 1)
+            except OSError as error:
+                raise can.CanOperationError(f"the emulation has ended ({error})") from None
+            if not record:
+                raise can.CanOperationError("the emulation has ended")
+            try:
+                time_ns, _, frame = unpack_frame(record)
+            except MalformedRecordError as error:
+                raise can.CanOperationError(f"not a frame: {error}") from None
+            own = is_own(record)
+            if self._receive_own or not own:
+                return to_message(frame, time_ns, self.channel, own), False
+            if timeout is not None:
+                timeout = 0.0  # what waits behind it
 
     def _open_socket(self) -> socket.socket:
         if self._socket is None or self._socket.fileno() < 0:

@@ -57,7 +57,9 @@ def _which(options: argparse.Namespace, robot: Robot) -> int:
         raise UserError("name the joint, either by --node or by --joint, for example --node 3")
     if options.joint is not None:
         if options.joint not in robot.joint_names:
-            raise UserError(f"--joint {options.joint}: {robot.name} has none{nearest(options.joint, robot.joint_names)}")
+            raise UserError(
+                f"--joint {options.joint}: {robot.name} has none{nearest(options.joint, robot.joint_names)}"
+            )
         return robot.joint_names.index(options.joint)
     if options.node not in nodes:
         there = ", ".join(f"{node} ({robot.joints[n].name})" for node, n in nodes.items())
@@ -146,7 +148,9 @@ def _joint(options: argparse.Namespace) -> int:
     joint = robot.joints[index]
     if not joint.limits[0] <= load.at <= joint.limits[1]:
         low, high = joint.limits
-        raise UserError(f"--load {options.load}: {joint.name} goes from {low:g} rad to {high:g} rad, not to at = {load.at:g}")
+        raise UserError(
+            f"--load {options.load}: {joint.name} goes from {low:g} rad to {high:g} rad, not to at = {load.at:g}"
+        )
     rate, physics = int(scenario.firmware.rate), scenario.world.rate
     firmware = JointFirmware(robot, index, scenario.firmware, compile_function)
     try:

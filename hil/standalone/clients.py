@@ -32,6 +32,8 @@ class Client:
                 record = self.socket.recv(RECORD_SIZE + 1)
             except BlockingIOError:
                 return None
+            except ConnectionResetError:
+                continue  # it left without reading all; what it sent before is still there, then the end
             if not record:
                 raise ConnectionError
             try:
@@ -43,12 +45,14 @@ class Client:
             return frame
 
     def give(self, record: bytes) -> None:
-        """Send it a record; it misses what it has no room for. Raises OSError when it has gone."""
+        """Send it a record; it misses what it has no room for."""
         try:
             self.socket.send(record)
             self.received += 1
         except BlockingIOError:
             self.missed += 1
+        except OSError:
+            pass  # it has gone; what it sent before is still to be taken, and ``take`` will see the end
 
     def summary(self) -> dict[str, Any]:
         try:
@@ -94,16 +98,11 @@ class ClientPorts(PortServer):
                 new.append(client)
         return new
 
-    def deliver(self, time_ns: int, sender: int, frame: Frame) -> list[Client]:
-        """Give ``frame`` to every client; its sender is told that it is its own. Returns those that have gone."""
-        gone = []
+    def deliver(self, time_ns: int, sender: int, frame: Frame) -> None:
+        """Give ``frame`` to every client; its sender is told that it is its own."""
         record = pack_frame(frame, time_ns, sender)
         for client in self.attached.values():
-            try:
-                client.give(record if client.port != sender else pack_frame(frame, time_ns, sender, own=True))
-            except OSError:
-                gone.append(client)
-        return gone
+            client.give(record if client.port != sender else pack_frame(frame, time_ns, sender, own=True))
 
     def release(self, client: Client) -> None:
         """Give up a client that has gone."""

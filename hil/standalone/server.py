@@ -106,8 +106,7 @@ class StandaloneBus:
         self.now_ns = due
         for time_ns, sender, frame in self._wire.advance(due):
             self.lateness.add(now - due)
-            for client in self._ports.deliver(time_ns, sender, frame):
-                self._release(client)
+            self._ports.deliver(time_ns, sender, frame)
             key = (frame.id, frame.extended)
             self._delivered[key] = self._delivered.get(key, 0) + 1
             if self.record is not None:
@@ -127,13 +126,13 @@ class StandaloneBus:
         self.now_ns = now
         for key, _ in ready:
             if key.fileobj is self._ports:
-                for client in self._ports.accept():
-                    self._selector.register(client.socket, selectors.EVENT_READ, client)
+                for new in self._ports.accept():
+                    self._selector.register(new.socket, selectors.EVENT_READ, new)
             elif key.data is None:
                 os.eventfd_read(self.requests.bell)
                 while self.requests:
                     self.requests.popleft()()
-            elif self._ports.attached.get(key.data.port) is key.data:  # not released meanwhile
+            else:
                 self._take(key.data, now)
 
     def _take(self, client: Client, now: int) -> None:
@@ -149,17 +148,11 @@ class StandaloneBus:
                 else:
                     wire.offer(now, port, frame)
         except OSError:
-            self._release(client)
+            self._selector.unregister(client.socket)
+            self._ports.release(client)
             return
         self._selector.unregister(client.socket)
         self._full.append(client)
-
-    def _release(self, client: Client) -> None:
-        if client in self._full:
-            self._full.remove(client)
-        else:
-            self._selector.unregister(client.socket)
-        self._ports.release(client)
 
     def _flush(self, now: int) -> None:
         self._busy.append((now, self._wire.busy_ns))
