@@ -193,17 +193,19 @@ MISTAKES: dict[tuple[str, ...], str] = {
     ("--node", "3", "--load", "inertia,mas=3kg"): "--load inertia,mas=3kg: unknown key 'mas'; valid are inertia, "
     "damping, at",
     ("--node", "3", "--load", "pendulum,3kg"): "--load pendulum,3kg: '3kg' is not KEY=VALUE",
-    ("--node", "3", "--load", "locked,at=4rad"): "--load locked,at=4rad: right_knee goes from -0.3491 rad to 3.4907 rad, "
-    "not to at = 4",
+    ("--node", "3", "--load", "locked,at=4rad"): "--load locked,at=4rad: right_knee goes from -0.3491 rad to "
+    "3.4907 rad, not to at = 4",
     ("--node", "3", "--load", "inertia=1e-5kgm2"): "--load inertia=1e-5kgm2: inertia of 1e-05 kg m²: expected at least "
     "0.00018 kg m², for the spring of 415 N m/rad at 3000 steps per second",
     ("--node", "3", "--rate", "3000"): "--rate 3000: '3000' has no unit: write one of Hz, kHz, MHz",
     ("--node", "3", "--rate", "0.1Hz"): "--rate 0.1Hz: expected 1 Hz to 1 MHz",
-    ("--node", "3", "--rate", "1001Hz"): "firmware.report_rate = 500.5 Hz: expected a whole number of hertz, at most 1 MHz",
+    ("--node", "3", "--rate", "1001Hz"): "firmware.report_rate = 500.5 Hz: expected a whole number of hertz, "
+    "at most 1 MHz",
     ("--node", "3", "--duration", "0s"): "--duration 0s: expected more than 0 s",
     ("--node", "3", "--set", "link.command.delay=3ms"): "--set link.command.delay=3ms: a joint alone has firmware.…, "
     "world.friction_scale and world.rate",
-    ("--node", "3", "--set", "firmware.watchdg=3ms"): "unknown key 'firmware.watchdg'; did you mean 'firmware.watchdog'?",
+    ("--node", "3", "--set", "firmware.watchdg=3ms"): "unknown key 'firmware.watchdg'; "
+    "did you mean 'firmware.watchdog'?",
     ("--node", "3", "--can", "lab"): "--can lab: expected INTERFACE:CHANNEL, for example hil:lab or socketcan:can0",
     ("--node", "3", "--can", "nosuch:lab"): '--can nosuch:lab: Unknown interface type "nosuch"',
 }  # fmt: skip
