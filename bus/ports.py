@@ -1,8 +1,9 @@
-"""Ports on an emulated bus: shared memory for a firmware process, a Unix socket for any other process.
+"""Ports on an emulated bus for any process of the same user: a Unix socket that carries the records of ``bus.records``.
 
-A record on the socket, little-endian: time i64 (ns), identifier u32, flags u8, sender u8, length u8, own u8
-(1 in what a client is told of a frame that it sent itself), data. A slot of a ring: identifier u32, flags
-u8, length u8, two bytes unused, 64 bytes of data.
+All clients of a server share one CAN controller (one port of the wire), as all programs on one SocketCAN interface
+do: its error counters and its transmit queue. A client hands over at most ``WINDOW`` frames whose fate it does not
+know yet, and at most ``IN_FLIGHT`` of them wait in the controller, half of its queue: one that floods does not take
+the place of the others.
 """
 
 from __future__ import annotations
@@ -17,13 +18,36 @@ import struct
 from collections import deque
 from typing import Any
 
-from bus.frames import Frame, is_valid
+from bus.frames import ErrorFrame, Frame
+from bus.periodic import Task
+from bus.records import (
+    FLUSH,
+    FLUSHED,
+    FRAME,
+    LARGEST,
+    OWN,
+    PERIODIC,
+    STOP,
+    UNSEEN,
+    VERSION,
+    ControllerState,
+    MalformedRecordError,
+    kind_and_tag,
+    pack_error,
+    pack_frame,
+    pack_note,
+    pack_state,
+    unpack_frame,
+    unpack_task,
+)
 
-_RECORD = struct.Struct("<qIBBBB")
-RECORD_SIZE = _RECORD.size + 64
-_FD, _BRS, _EXTENDED = 1, 2, 4
-VERSION = 1
+WINDOW = 64  # frames of a client whose fate it does not know
+IN_FLIGHT = 16  # frames of a client that wait in the controller
+_UNSEEN_NS = 1_000_000_000  # bus time after which a frame that was not on the bus is given up
 _BACKLOG = 16
+_MAX_CLIENTS = 64
+_MAX_TASKS = 64
+_MAX_RECORDS = 2 * WINDOW  # that a client is heard for in one poll
 _PREFIX = "hume-hil"
 
 
@@ -31,138 +55,51 @@ class PortError(RuntimeError):
     """A port cannot be opened or reached."""
 
 
-class MalformedRecordError(ValueError):
-    """Bytes that are not a frame."""
-
-
-def pack_frame(frame: Frame, time_ns: int = 0, sender: int = 0, own: bool = False) -> bytes:
-    """The record of ``frame``."""
-    identifier, data, fd, brs, extended, _, _ = frame
-    flags = (_FD if fd else 0) | (_BRS if brs else 0) | (_EXTENDED if extended else 0)
-    return _RECORD.pack(time_ns, identifier, flags, sender, len(data), own) + data
-
-
-def is_own(record: bytes) -> bool:
-    """Whether the client that receives this record is the one that sent the frame."""
-    return record[_RECORD.size - 1] == 1
-
-
-def unpack_frame(record: bytes) -> tuple[int, int, Frame]:
-    """Time in ns, sender and frame of a record. Raises MalformedRecordError."""
-    if len(record) < _RECORD.size:
-        raise MalformedRecordError(f"a record of {len(record)} bytes")
-    time_ns, identifier, flags, sender, length, own = _RECORD.unpack_from(record)
-    fd, brs, extended = bool(flags & _FD), bool(flags & _BRS), bool(flags & _EXTENDED)
-    if own > 1 or flags > 7 or len(record) != _RECORD.size + length:
-        raise MalformedRecordError("flags or length do not fit")
-    if not is_valid(identifier, length, fd, brs, extended):
-        raise MalformedRecordError(f"no controller could send identifier {identifier:#x} with {length} bytes")
-    return time_ns, sender, Frame(identifier, record[_RECORD.size :], fd, brs, extended)
-
-
-# --- shared memory ------------------------------------------------------------------------------------------
-
-_SLOTS = 32  # frames that can wait in one direction
-_SLOT = struct.Struct("<IBB2x64s")
-_SLOT_SIZE = _SLOT.size
-_FLAGS = tuple((bool(f & _FD), bool(f & _BRS), bool(f & _EXTENDED)) for f in range(256))
-
-
-class _Ring:
-    """Single producer, single consumer. The lockstep hands over by eventfd, which orders the memory and lets
-    only one side run at a time: no locks."""
-
-    SIZE = 16 + _SLOTS * _SLOT_SIZE
-
-    def __init__(self, memory: memoryview) -> None:
-        self._ends = memory[:16].cast("q")  # written, read
-        self._slots = memory[16 : self.SIZE]
-        self.overruns = 0
-        self.malformed = 0  # slots that hold no frame
-
-    def put(self, frame: Frame) -> bool:
-        """Append ``frame``; False when the ring is full, as a controller's buffer would overrun."""
-        ends = self._ends
-        if ends[0] - ends[1] >= _SLOTS:
-            self.overruns += 1
-            return False
-        written = ends[0]
-        identifier, data, fd, brs, extended, _, _ = frame
-        flags = (_FD if fd else 0) | (_BRS if brs else 0) | (_EXTENDED if extended else 0)
-        _SLOT.pack_into(self._slots, written % _SLOTS * _SLOT_SIZE, identifier, flags, len(data), data)
-        ends[0] = written + 1
-        return True
-
-    def take(self) -> list[Frame]:
-        """All frames that wait, oldest first; what no controller could send is dropped and counted."""
-        ends = self._ends
-        written, read = ends[0], ends[1]
-        if written == read:
-            return []
-        frames: list[Frame] = []
-        ends[1] = written
-        if not 0 < written - read <= _SLOTS:
-            self.malformed += 1
-            return frames
-        for n in range(read, written):
-            identifier, flags, length, data = _SLOT.unpack_from(self._slots, n % _SLOTS * _SLOT_SIZE)
-            fd, brs, extended = _FLAGS[flags]
-            if flags < 8 and is_valid(identifier, length, fd, brs, extended):
-                frames.append(Frame(identifier, data[:length], fd, brs, extended))
-            else:
-                self.malformed += 1
-        return frames
-
-
-class ShmPort:
-    """A port in ``SIZE`` bytes of shared memory; ``firmware=True`` is the mirror image for the firmware."""
-
-    SIZE = 2 * _Ring.SIZE
-
-    def __init__(self, memory: memoryview, firmware: bool = False) -> None:
-        down, up = _Ring(memory[: _Ring.SIZE]), _Ring(memory[_Ring.SIZE : self.SIZE])
-        self._outgoing, self._incoming = (up, down) if firmware else (down, up)
-
-    def send_frame(self, frame: Frame) -> bool:
-        """Hand ``frame`` to the other side; False when it does not take any more."""
-        return self._outgoing.put(frame)
-
-    def recv_frames(self) -> list[Frame]:
-        """Frames from the other side."""
-        return self._incoming.take()
-
-    @property
-    def malformed(self) -> int:
-        """What came from the other side and was no frame."""
-        return self._incoming.malformed
-
-
-# --- sockets ------------------------------------------------------------------------------------------------
-
-
 def _address(run: str, channel: str) -> str:
     return f"\0{_PREFIX}/{os.getuid()}/{run}/{channel}"
 
 
 def peer(connection: socket.socket) -> tuple[int, int]:
-    """Process and user id of the other side, as the kernel knows them."""
+    """Process and user at the other end."""
     credentials = connection.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, struct.calcsize("3i"))
-    return struct.unpack("3i", credentials)[:2]
+    pid, uid, _ = struct.unpack("3i", credentials)
+    return pid, uid
 
 
-def _peer_uid(connection: socket.socket) -> int:
-    return peer(connection)[1]
+class Client:
+    """A process that is attached, and what it has sent."""
+
+    def __init__(self, connection: socket.socket, pid: int) -> None:
+        self.connection = connection
+        self.pid = pid
+        self.left = False
+        self.backlog: deque[tuple[int, Frame]] = deque()  # tag and frame, not yet handed to the bus
+        self.flying: deque[tuple[int, Frame, int]] = deque()  # handed to the bus at that time, not yet seen on it
+        self.untold: deque[bytes] = deque()  # records about its own frames that its socket did not take
+        self.tasks: dict[int, Task] = {}
+        self.state: ControllerState | None = None  # as it was told
 
 
 class PortServer:
     """Serves one bus to other processes of the same user, at an abstract address that dies with this process.
 
-    A client that does not keep up misses frames (``overruns``); what is not a frame is dropped
-    (``malformed``).
+    A client that does not keep up misses frames (``overruns``), but always learns what became of its own; what is
+    not a record is dropped (``malformed``).
+
+    Args:
+        channel: name of the bus.
+        run: name of the run, or of whatever else has buses.
+        endpoint: where the run's Zenoh session listens.
+        notice: what a client is told when it sends for the first time.
+        port: the wire's port that the clients share; without it a frame that a client has sent is also taken for
+            its own when another node sends the same.
+        about: what else a client is told when it attaches.
     """
 
-    def __init__(self, channel: str, run: str, endpoint: str | None = None, **about: Any) -> None:
-        """``about``: what else a client is told when it attaches."""
+    def __init__(
+        self, channel: str, run: str, endpoint: str | None = None, notice: str | None = None, port: int | None = None,
+        **about: Any,
+    ) -> None:  # fmt: skip
         self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         self._listener.setblocking(False)
         try:
@@ -173,81 +110,202 @@ class PortServer:
                 raise PortError(f"a run named {run!r} serves {channel!r} already") from None
             raise PortError(f"{run!r}/{channel!r} cannot be served: {error}") from None
         self._listener.listen(_BACKLOG)
-        hello = {"version": VERSION, "run": run, "channel": channel, "endpoint": endpoint, **about}
+        hello = {"version": VERSION, "run": run, "channel": channel, "endpoint": endpoint, "notice": notice, **about}
         self._hello = json.dumps(hello).encode()
-        self._clients: list[socket.socket] = []
-        # what clients sent and the bus has not yet shown
-        self._sent: deque[tuple[socket.socket, Frame]] = deque(maxlen=256)
+        self._port = port
+        self._clients: list[Client] = []
+        self._departed: list[Client] = []  # gone, but what they sent has not gone to the bus yet
+        self._now_ns = 0
+        self._turn = 0
+        self._state = ControllerState(0, 0, 0)
         self.overruns = 0  # frames that a slow client missed
         self.malformed = 0
+        self.first_sender: int | None = None  # process whose frame was the first
 
     @property
     def clients(self) -> int:
         return len(self._clients)
 
-    def poll(self) -> list[Frame]:
-        """Let new clients in; return the frames that clients sent. Never blocks."""
+    def poll(self, now_ns: int | None = None) -> list[Frame]:
+        """Let new clients in; return the frames that clients want on the bus now. Never blocks.
+
+        ``now_ns`` is the bus time, by default that of the last frame; periodic sending goes by it.
+        """
+        if now_ns is None:
+            now_ns = self._now_ns
+        self._now_ns = now_ns
+        self._admit()
+        frames: list[Frame] = []
+        clients = [*self._clients, *self._departed]
+        self._turn += 1  # nobody is always first
+        for n in range(len(clients)):
+            client = clients[(n + self._turn) % len(clients)]
+            if not client.left:
+                self._listen_to(client, now_ns)
+            if client.backlog or client.flying or client.tasks or client.untold:
+                self._serve(client, now_ns, frames)
+            if client.state is not self._state and not client.left and self._send(client, pack_state(self._state)):
+                client.state = self._state
+        if self._departed:
+            self._departed = [client for client in self._departed if client.backlog or client.flying]
+        return frames
+
+    def _admit(self) -> None:
         with contextlib.suppress(BlockingIOError, ConnectionError):
             while True:
-                client, _ = self._listener.accept()
-                if _peer_uid(client) != os.getuid():
-                    client.close()
+                connection, _ = self._listener.accept()
+                pid, uid = peer(connection)
+                if uid != os.getuid() or len(self._clients) + len(self._departed) >= _MAX_CLIENTS:
+                    connection.close()
                     continue
-                client.setblocking(False)
+                connection.setblocking(False)
                 with contextlib.suppress(OSError):
-                    client.send(self._hello)
-                self._clients.append(client)
-        frames: list[Frame] = []
-        for client in list(self._clients):
-            for _ in range(64):  # a client that floods must not stop the run
-                try:
-                    record = client.recv(RECORD_SIZE + 1)
-                except BlockingIOError:
-                    break
-                except OSError:
-                    record = b""
-                if not record:
-                    self._drop(client)
-                    break
-                try:
-                    frame = unpack_frame(record)[2]
-                except MalformedRecordError:
-                    self.malformed += 1
-                    continue
+                    connection.send(self._hello)
+                self._clients.append(Client(connection, pid))
+
+    def _listen_to(self, client: Client, now_ns: int) -> None:
+        for _ in range(_MAX_RECORDS):  # a client that floods must not stop the run
+            try:
+                record = client.connection.recv(LARGEST + 1)
+            except BlockingIOError:
+                return
+            except ConnectionResetError:  # it left with messages unread; what it has sent follows
+                continue
+            except OSError:
+                record = b""
+            if not record:
+                self._drop(client)
+                return
+            try:
+                self._heed(client, record, now_ns)
+            except MalformedRecordError:
+                self.malformed += 1
+
+    def _heed(self, client: Client, record: bytes, now_ns: int) -> None:
+        kind, tag = kind_and_tag(record)
+        if kind == FRAME:
+            frame = unpack_frame(record)[2]
+            if len(client.backlog) >= WINDOW + IN_FLIGHT:  # periodic frames may have come back to it
+                raise MalformedRecordError("more frames than the window allows")
+            client.backlog.append((tag, frame))
+            if self.first_sender is None:
+                self.first_sender = client.pid
+        elif kind == PERIODIC:
+            period_ns, duration_ns, frames = unpack_task(record)
+            task = client.tasks.get(tag)
+            if period_ns == 0:
+                if task is not None:
+                    task.exchange(frames)
+            elif task is None and len(client.tasks) >= _MAX_TASKS:
+                raise MalformedRecordError("too many periodic tasks")
+            else:
+                client.tasks[tag] = Task(now_ns, period_ns, duration_ns, frames)
+                if self.first_sender is None:
+                    self.first_sender = client.pid
+        elif kind == STOP:
+            client.tasks.pop(tag, None)
+        elif kind == FLUSH:
+            for discarded, _ in client.backlog:
+                self._tell_fate(client, FLUSHED, discarded)
+            client.backlog.clear()
+        else:
+            raise MalformedRecordError(f"a client does not send records of kind {kind}")
+
+    def _serve(self, client: Client, now_ns: int, frames: list[Frame]) -> None:
+        """Append what may go to the bus now to ``frames``."""
+        flying, backlog = client.flying, client.backlog
+        while flying and flying[0][2] <= now_ns - _UNSEEN_NS:
+            self._tell_fate(client, UNSEEN, flying.popleft()[0])
+        for number, task in list(client.tasks.items()):
+            for frame in task.due(now_ns)[: IN_FLIGHT - len(flying)]:  # what finds no place was due in vain
+                flying.append((0, frame, now_ns))
                 frames.append(frame)
-                self._sent.append((client, frame))
-        return frames
+            if task.finished:
+                del client.tasks[number]
+        while backlog and len(flying) < IN_FLIGHT:
+            tag, frame = backlog.popleft()
+            flying.append((tag, frame, now_ns))
+            frames.append(frame)
+        while client.untold and self._send(client, client.untold[0]):
+            client.untold.popleft()
+
+    def refused(self, frame: Frame) -> None:
+        """The transmit queue was full when ``frame``, of the last ``poll``, was offered: it is offered again later."""
+        for client in (*self._clients, *self._departed):
+            for n in range(len(client.flying) - 1, -1, -1):
+                tag, sent, _ = client.flying[n]
+                if sent == frame:
+                    del client.flying[n]
+                    client.backlog.appendleft((tag, frame))
+                    return
 
     def broadcast(self, time_ns: int, sender: int, frame: Frame) -> None:
         """Send ``frame`` to all clients; one that does not keep up misses it. A client that has sent this
         frame is told that it is its own."""
-        if not self._clients:
+        if not (self._clients or self._departed):
             return
-        origin = self._origin(frame) if self._sent else None
+        self._now_ns = time_ns
+        origin, tag = self._origin(frame) if self._port is None or sender == self._port else (None, 0)
         record = pack_frame(frame, time_ns, sender)
-        for client in list(self._clients):
-            try:
-                client.send(record if client is not origin else pack_frame(frame, time_ns, sender, own=True))
-            except BlockingIOError:
-                self.overruns += 1
-            except OSError:
-                self._drop(client)
+        for client in tuple(self._clients):
+            if client is not origin:
+                self._tell(client, record)
+            else:
+                own = pack_frame(frame, time_ns, sender, OWN, tag)
+                if client.untold or not self._send(client, own):
+                    client.untold.append(own)
 
-    def _origin(self, frame: Frame) -> socket.socket | None:
-        for n, (client, sent) in enumerate(self._sent):
-            if sent == frame:
-                del self._sent[n]
-                return client
-        return None
+    def broadcast_error(self, time_ns: int, error: ErrorFrame, sender: int = 0) -> None:
+        """Send an error frame to all clients."""
+        record = pack_error(error, time_ns, sender)
+        for client in tuple(self._clients):
+            self._tell(client, record)
 
-    def _drop(self, client: socket.socket) -> None:
+    def set_state(self, tec: int, rec: int, state: int) -> None:
+        """Error counters of the clients' controller, and whether it is error active (0), error passive (1) or off
+        the bus (2). Clients are told of a change at the next ``poll``."""
+        new = ControllerState(tec, rec, state)
+        if new != self._state:
+            self._state = new
+
+    def _origin(self, frame: Frame) -> tuple[Client | None, int]:
+        for client in (*self._clients, *self._departed):
+            for n, (tag, sent, _) in enumerate(client.flying):
+                if sent == frame:
+                    del client.flying[n]
+                    return client, tag
+        return None, 0
+
+    def _tell(self, client: Client, record: bytes) -> None:
+        if not self._send(client, record):
+            self.overruns += 1
+
+    def _tell_fate(self, client: Client, kind: int, tag: int) -> None:
+        if tag:
+            client.untold.append(pack_note(kind, tag, self._now_ns))
+
+    def _send(self, client: Client, record: bytes) -> bool:
+        try:
+            client.connection.send(record)
+        except BlockingIOError:
+            return False
+        except OSError:
+            pass  # it has left; what it has sent is still to be read
+        return True
+
+    def _drop(self, client: Client) -> None:
+        client.left = True
+        client.tasks.clear()
+        client.untold.clear()
+        client.connection.close()
         self._clients.remove(client)
-        client.close()
+        self._departed.append(client)
 
     def close(self) -> None:
         for client in self._clients:
-            client.close()
+            client.connection.close()
         self._clients.clear()
+        self._departed.clear()
         self._listener.close()
 
 
@@ -281,7 +339,7 @@ def connect(channel: str, ask_only: bool = False) -> tuple[socket.socket, dict[s
     connection.settimeout(2.0)
     try:
         connection.connect(_address(*matches[0]))
-        if _peer_uid(connection) != os.getuid():
+        if peer(connection)[1] != os.getuid():
             raise PortError(f"{channel!r} is served by another user")
         hello = json.loads(connection.recv(4096))
         version = hello["version"]

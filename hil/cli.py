@@ -77,6 +77,10 @@ def _parser() -> argparse.ArgumentParser:
         "--zenoh", type=_endpoint, metavar="tcp/HOST:PORT",
         help="join this Zenoh router instead of a private session",
     )  # fmt: skip
+    run.add_argument(
+        "--log-format", action="append", default=[], choices=("candump", "asc", "blf", "pcap"), dest="log_formats",
+        help="write this log of each bus too; repeatable (candump's is always written)",
+    )  # fmt: skip
     run.add_argument("--video", action="store_true", help="also write video.mp4")
     run.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
     run.set_defaults(command=_run)
@@ -157,8 +161,9 @@ def _run(options: argparse.Namespace) -> int:
     from hil.control import serve_run
 
     request = Request(
-        scenario, options.seed, options.backend, options.clock, out, video=options.video, zenoh=options.zenoh
-    )
+        scenario, options.seed, options.backend, options.clock, out, video=options.video, zenoh=options.zenoh,
+        log_formats=tuple(options.log_formats),
+    )  # fmt: skip
     try:
         if options.json:
             outcome = run(request, prepare=serve_run)

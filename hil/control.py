@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import json
+import sys
 import threading
 from collections.abc import Callable
 from typing import Any
 
 from bus.config import Impairment
-from bus.frames import Frame
+from bus.frames import ErrorFrame, Frame
 from bus.ports import PortError, PortServer, find_runs, served
 from bus.zenoh_link import keys, session_config
 from hil.errors import EmulationError, HilError, UserError
@@ -18,31 +19,65 @@ from hil.schema import nearest
 from robots import description
 
 _ANSWER_TIMEOUT_S = 5.0
+_NOTICE = "with this frame the run is no longer reproducible from its scenario alone"
 
 
 class PortTap:
-    """Serves every bus of a run to tools of the same user (``can.Bus(interface="hil", channel="left_leg")``)."""
+    """Serves every bus of a run to tools of the same user (``can.Bus(interface="hil", channel="left_leg")``).
 
-    def __init__(self, run: str, buses: list[str], endpoint: str | None) -> None:
+    Args:
+        run: name of the run.
+        buses: names of its buses, in the order of their indices.
+        endpoint: where its Zenoh session listens.
+        now_ns: tells the bus time.
+        ports: the port of each wire that belongs to the tools.
+    """
+
+    def __init__(
+        self, run: str, buses: list[str], endpoint: str | None,
+        now_ns: Callable[[], int] = lambda: 0, ports: list[int] | None = None,
+    ) -> None:  # fmt: skip
+        self._run, self._buses, self._now_ns = run, buses, now_ns
         self._servers: list[PortServer] = []
         self.frames_in = 0
         try:
-            for name in buses:
-                self._servers.append(PortServer(name, run=run, endpoint=endpoint))
+            for b, name in enumerate(buses):
+                port = None if ports is None else ports[b]
+                self._servers.append(PortServer(name, run, endpoint, _NOTICE, port))
         except PortError:
             self.close()
             raise
 
     def broadcast(self, bus: int, time_ns: int, sender: int, frame: Frame) -> None:
-        server = self._servers[bus]
-        if server.clients:
-            server.broadcast(time_ns, sender, frame)
+        self._servers[bus].broadcast(time_ns, sender, frame)
+
+    def broadcast_error(self, bus: int, time_ns: int, sender: int, error: ErrorFrame) -> None:
+        self._servers[bus].broadcast_error(time_ns, error, sender)
+
+    def set_state(self, bus: int, tec: int, rec: int, state: int) -> None:
+        """Of the controller that the tools on a bus share (``PortServer.set_state``)."""
+        self._servers[bus].set_state(tec, rec, state)
 
     def poll(self) -> list[tuple[int, Frame]]:
-        """Frames that tools sent since the last call."""
-        received = [(bus, frame) for bus, server in enumerate(self._servers) for frame in server.poll()]
-        self.frames_in += len(received)
+        """Frames that tools want on the buses now."""
+        now_ns = self._now_ns()
+        received = [(bus, frame) for bus, server in enumerate(self._servers) for frame in server.poll(now_ns)]
+        if received:
+            if not self.frames_in:
+                self._tell_of_the_first(received[0][0], now_ns)
+            self.frames_in += len(received)
         return received
+
+    def refused(self, bus: int, frame: Frame) -> None:
+        """The wire's transmit queue was full when ``frame``, of the last ``poll``, was offered."""
+        self._servers[bus].refused(frame)
+
+    def _tell_of_the_first(self, bus: int, now_ns: int) -> None:
+        print(
+            f"hil: process {self._servers[bus].first_sender} sends on {self._buses[bus]} of {self._run} "
+            f"from {now_ns * 1e-9:.6f} s on: this run is no longer reproducible from its scenario alone",
+            file=sys.stderr,
+        )
 
     def close(self) -> None:
         for server in self._servers:
@@ -55,7 +90,8 @@ def serve_run(assembly: Any) -> None:
     buses = [wire.name for wire in system.wires]
     endpoint = assembly.endpoint
     try:
-        assembly.tap = system.tap = PortTap(assembly.run_name, buses, endpoint)
+        ports = [wire.ports - 1 for wire in system.wires]  # the last one of each is the tools'
+        assembly.tap = system.tap = PortTap(assembly.run_name, buses, endpoint, lambda: system.now_ns, ports)
     except PortError as error:
         raise UserError(f"{error}: choose another name with --out") from None
     if session is None:

@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 import hashlib
+import itertools
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, BinaryIO
 
 import numpy as np
 
-from bus.frames import Frame
+from bus.candump import format_line
+from bus.frames import ErrorFrame, Frame
+from bus.logs import Log, open_log
 from hil.signals import SIGNALS_FILE, Signals
 
 _BLOCK = 2048  # rows
 
-FormatLine = Callable[[int, str, Frame], str]
+FormatLine = Callable[[int, str, Frame | ErrorFrame], str]
 
 
 class RowRecorder:
@@ -69,15 +72,16 @@ class RowRecorder:
 class Recorder:
     """The record of one run.
 
-    A run directory gets ``signals.mcap`` and one ``BUS.log`` per bus. Everything up to the last flush is in the
-    hands of the operating system and survives the death of this process. Rows are also kept in memory
-    (about 2 MB per second of Hume), where the metrics read them.
+    A run directory gets ``signals.mcap``, one ``BUS.log`` per bus, and the other logs asked for. Everything up to the
+    last flush is in the hands of the operating system and survives the death of this process (of BLF all but the last
+    16 kB). Rows are also kept in memory (about 2 MB per second of Hume), where the metrics read them.
 
     Args:
         directory: where to write, created if missing; None: keep rows and digest only.
         channels: signal names by channel name.
         buses: names of the buses, in the order of their indices.
-        format_line: one candump line from time (ns), bus name and frame; default ``bus.candump.format_line``.
+        format_line: one candump line from time (ns), bus name and frame.
+        log_formats: further logs of each bus, of ``bus.logs.FORMATS``; candump's is always written.
     """
 
     def __init__(
@@ -85,14 +89,13 @@ class Recorder:
         directory: Path | None,
         channels: Mapping[str, Sequence[str]],
         buses: Sequence[str],
-        format_line: FormatLine | None = None,
+        format_line: FormatLine = format_line,
+        log_formats: Sequence[str] = (),
     ) -> None:
-        if format_line is None:
-            from bus.candump import format_line
-        self._format_line: FormatLine = format_line
+        self._format_line = format_line
         self._channels = {name: RowRecorder(name, signals) for name, signals in channels.items()}
         self._buses = tuple(buses)
-        self._frames: list[list[tuple[int, Frame | str]]] = [[] for _ in buses]
+        self._frames: list[list[tuple[int, Frame | ErrorFrame]]] = [[] for _ in buses]
         # Times and rows lie in separate arrays: a hash for each, so that where blocks end makes no difference.
         self._hashes: dict[str, tuple[Any, Any]] = {
             name: (hashlib.sha256(" ".join(signals).encode()), hashlib.sha256()) for name, signals in channels.items()
@@ -100,6 +103,7 @@ class Recorder:
         self._bus_hashes = [hashlib.sha256() for _ in buses]
         self._mcap = None
         self._logs: list[BinaryIO] = []
+        self._other_logs: list[list[Log]] = [[] for _ in buses]
         self.flushed_ns = 0  # the directory is complete up to here
         if directory is not None:
             from hil.mcap_writer import McapWriter
@@ -107,13 +111,18 @@ class Recorder:
             directory.mkdir(parents=True, exist_ok=True)
             self._mcap = McapWriter(directory / SIGNALS_FILE, channels)
             self._logs = [(directory / f"{bus}.log").open("wb") for bus in buses]
+            others = [name for name in dict.fromkeys(log_formats) if name != "candump"]
+            self._other_logs = [
+                [open_log(name, directory / f"{bus}.{name}", number) for name in others]
+                for number, bus in enumerate(buses, start=1)
+            ]
 
     def channel(self, name: str) -> RowRecorder:
         """Where a channel's rows are appended. Raises KeyError for a channel that was not announced."""
         return self._channels[name]
 
-    def frame(self, time_ns: int, bus_index: int, frame: Frame | str) -> None:
-        """A frame (or its candump line) that a bus delivered. It is formatted at the next flush."""
+    def frame(self, time_ns: int, bus_index: int, frame: Frame | ErrorFrame) -> None:
+        """A frame that a bus delivered, or an error frame. It is formatted at the next flush."""
         self._frames[bus_index].append((time_ns, frame))
 
     def flush(self, now_ns: int) -> None:
@@ -131,13 +140,14 @@ class Recorder:
         for b, (bus, frames) in enumerate(zip(self._buses, self._frames, strict=True)):
             if not frames:
                 continue
-            lines = [f if isinstance(f, str) else format_line(t, bus, f) for t, f in frames]
-            text = "".join(line if line.endswith("\n") else line + "\n" for line in lines).encode()
-            frames.clear()
+            text = "".join([format_line(t, bus, f) + "\n" for t, f in frames]).encode()
             self._bus_hashes[b].update(text)
             if self._logs:
                 self._logs[b].write(text)
                 self._logs[b].flush()
+                for other in self._other_logs[b]:
+                    other.write(frames)
+            frames.clear()
         self.flushed_ns = now_ns
 
     def digest(self) -> str:
@@ -165,6 +175,8 @@ class Recorder:
         if self._mcap is not None:
             self._mcap.close()
             self._mcap = None
-        for log in self._logs:
+        for file in self._logs:
+            file.close()
+        for log in itertools.chain(*self._other_logs):
             log.close()
-        self._logs = []
+        self._logs, self._other_logs = [], [[] for _ in self._buses]

@@ -37,6 +37,7 @@ class Request:
     video: bool = False
     zenoh: str | None = None  # endpoint of a router to join
     report: bool = True
+    log_formats: tuple[str, ...] = ()  # of each bus, beside candump's: of bus.logs.FORMATS
 
 
 @dataclass
@@ -132,7 +133,7 @@ def assemble(request: Request, wrap: Callable[[str, Any], Any] = lambda _, node:
             "drives": [f"{what}.{j}" for what in ("statusword", "error", "round_trip") for j in robot.joint_names],
             "bus": [f"{what}.{b}" for what in ("load", "sent", "lost", "errors") for b in buses],
         }
-        recorder = Recorder(request.out, channels, buses)
+        recorder = Recorder(request.out, channels, buses, log_formats=request.log_formats)
         assembly = None
         try:
             system = System(

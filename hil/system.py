@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 
 from bus import messages
-from bus.frames import Frame
+from bus.frames import ErrorFrame, Frame
 from bus.gateway import Gateway
 from bus.link import NEVER, Link
 from bus.wire import Wire
@@ -63,7 +63,10 @@ class Tap(Protocol):
     """Tools attached to the buses from outside: they see every frame and may send."""
 
     def broadcast(self, bus: int, time_ns: int, sender: int, frame: Frame) -> None: ...
+    def broadcast_error(self, bus: int, time_ns: int, sender: int, error: ErrorFrame) -> None: ...
+    def set_state(self, bus: int, tec: int, rec: int, state: int) -> None: ...
     def poll(self) -> list[tuple[int, Frame]]: ...
+    def refused(self, bus: int, frame: Frame) -> None: ...
 
 
 class System:
@@ -164,6 +167,7 @@ class System:
             if wire.next_time() == now:
                 for delivery in wire.advance(now):
                     self._deliver(b, now, delivery.sender, delivery.frame)
+                # MERGE wire errors: for at, port, error in wire.error_frames(): self._note_error(b, at, port, error)
         if self.state_link.next_time() == now:
             for arrival, (source, can_id, data) in self.state_link.pop_due(now):
                 self._arrived.append((arrival, source, can_id, data))
@@ -197,6 +201,13 @@ class System:
                 if frame.id & 0x780 == messages.STATE:
                     self._note_state(b, sender, frame.data)
 
+    def _note_error(self, b: int, now: int, port: int, error: ErrorFrame) -> None:
+        """What the tools' controller tells of an error on the bus; other nodes hear it from their own."""
+        if port == self._tool_port[b]:
+            self.recorder.frame(now, b, error)
+            if self.tap is not None:
+                self.tap.broadcast_error(b, now, port, error)
+
     def _tick_joints(self, now: int) -> None:
         world = self.world
         if self._isr % self._isr_per_report == 0:
@@ -224,8 +235,10 @@ class System:
         while self.requests:  # filled by a thread of Zenoh's
             self.requests.popleft()()
         if self.tap is not None:
+            # MERGE wire states: self.tap.set_state(b, tec, rec, 0..2) of wire.ports_state(self._tool_port[b]), each b
             for bus, frame in self.tap.poll():
-                self.wires[bus].offer(now, self._tool_port[bus], frame)
+                if not self.wires[bus].offer(now, self._tool_port[bus], frame):
+                    self.tap.refused(bus, frame)
         self.controller.start(now, self._arrived)
         self._arrived = []
         self._reply_ns = now + self._compute_ns

@@ -18,8 +18,8 @@ import numpy as np
 import zenoh
 
 from bus.frames import Frame
-from bus.ports import ShmPort
 from bus.python_can import HilBus
+from bus.shm_port import ShmPort
 from bus.zenoh_link import bundle_sequence, declare_publisher, encode_bundle, keys, session_config
 from hil.backends.inline import read_reply
 from hil.backends.lifecycle import Family, quiet_collector

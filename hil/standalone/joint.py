@@ -7,9 +7,9 @@ from typing import Any
 import can
 
 from bus import messages
+from bus.can_messages import to_frame, to_message
 from bus.frames import Frame
 from bus.messages import Controlword, Setpoint
-from bus.python_can import to_frame, to_message
 from hil.clock import WallClock, tick_ns
 from hil.errors import EmulationError, UserError
 from joint_firmware.firmware import JointFirmware

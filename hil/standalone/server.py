@@ -20,12 +20,13 @@ from bus.wire import QUEUE, Wire
 from hil.errors import UserError
 from hil.lateness import Lateness
 from hil.scenario import parse_value
-from hil.standalone.clients import Client, ClientPorts
+from hil.standalone.clients import ClientPorts, PortClient
 from hil.standalone.record import Record
 from hil.streams import streams
 
 MAX_CLIENTS = 32
 _FLUSH_NS = 100_000_000
+_RETRY_NS = 1_000_000
 _LOAD_SAMPLES = 11  # one per flush: the load of the last second
 _SPIN_NS = 40_000  # a sleeper wakes this much too late: sleep short, then look again and again
 _PR_SET_TIMERSLACK = 29
@@ -65,7 +66,8 @@ class StandaloneBus:
         )  # fmt: skip
         self.record: Record | None = None
         self._delivered: dict[tuple[int, bool], int] = {}
-        self._full: list[Client] = []  # their transmit queue is full: what they send waits in the socket
+        self._busy_clients: set[PortClient] = set()  # who has frames in the wire
+        self._look_at = NEVER  # when a client wants to be looked after that has sent nothing
         self._flush_at = NEVER
         self._busy = deque([(0, 0)], maxlen=_LOAD_SAMPLES)  # time, busy time of the wire
         self._stopped = False
@@ -92,7 +94,9 @@ class StandaloneBus:
                 upcoming = wire.next_time()  # a loop that is late still looks at its sockets
             if now >= self._flush_at:
                 self._flush(now)
-            upcoming = min(upcoming, self._flush_at)
+            if now >= self._look_at:
+                self._look()
+            upcoming = min(upcoming, self._flush_at, self._look_at)
             if upcoming == NEVER:
                 ready = select()
             else:
@@ -104,55 +108,82 @@ class StandaloneBus:
     def _advance(self, due: int, now: int) -> None:
         """The wire's events of the time ``due``, looked at at ``now``."""
         self.now_ns = due
-        for time_ns, sender, frame in self._wire.advance(due):
+        wire, ports = self._wire, self._ports
+        deliveries = wire.advance(due)
+        for time_ns, sender, frame in deliveries:
             self.lateness.add(now - due)
-            self._ports.deliver(time_ns, sender, frame)
+            ports.deliver(time_ns, sender, frame)
             key = (frame.id, frame.extended)
             self._delivered[key] = self._delivered.get(key, 0) + 1
             if self.record is not None:
                 self.record.frame(time_ns, frame)
             if self._flush_at == NEVER:
                 self._flush_at = now + _FLUSH_NS
-        for client in self._full[:]:
-            if self._wire.waiting(client.port) < QUEUE:
-                self._full.remove(client)
-                self._selector.register(client.socket, selectors.EVENT_READ, client)
+        # MERGE wire errors: tell wire.error_frames() and wire.ports_state(client.port) to the client of each port
+        for client in tuple(self._busy_clients):
+            if len(client.flying) > wire.waiting(client.port):
+                delivered = [frame for _, sender, frame in deliveries if sender == client.port]
+                while len(client.flying) > wire.waiting(client.port):
+                    ports.sent(client, due, delivered)
+                self._serve(client, due)
 
     def _attend(self, ready: list[tuple[selectors.SelectorKey, int]]) -> None:
         """Sockets that have something. All frames of one look are offered at the same instant, and arbitrate."""
-        now = self.now_ns = max(time.monotonic_ns() - self._origin, self.now_ns)
-        while self._wire.next_time() < now:  # what has happened on the wire comes before what is offered now
-            self._advance(self._wire.next_time(), now)
-        self.now_ns = now
+        now = self._catch_up()
         for key, _ in ready:
             if key.fileobj is self._ports:
                 for new in self._ports.accept():
-                    self._selector.register(new.socket, selectors.EVENT_READ, new)
+                    self._selector.register(new.connection, selectors.EVENT_READ, new)
             elif key.data is None:
                 os.eventfd_read(self.requests.bell)
                 while self.requests:
                     self.requests.popleft()()
             else:
-                self._take(key.data, now)
+                client: PortClient = key.data
+                self._ports.hear(client, now)
+                if client.left:
+                    self._selector.unregister(client.connection)
+                self._serve(client, now)
 
-    def _take(self, client: Client, now: int) -> None:
-        """Offer what ``client`` has sent, as long as its transmit queue has room."""
-        wire, port = self._wire, client.port
-        try:
-            while wire.waiting(port) < QUEUE:
-                frame = client.take()
-                if frame is None:
-                    return
-                if frame.fd and not self.fd:
-                    self.misfits += 1
-                else:
-                    wire.offer(now, port, frame)
-        except OSError:
-            self._selector.unregister(client.socket)
-            self._ports.release(client)
+    def _catch_up(self) -> int:
+        """The time now, with what has happened on the wire before it done."""
+        now = max(time.monotonic_ns() - self._origin, self.now_ns)
+        while self._wire.next_time() < now:
+            self._advance(self._wire.next_time(), now)
+        self.now_ns = now
+        return now
+
+    def _serve(self, client: PortClient, now: int) -> None:
+        """Offer what ``client`` wants on the bus, as far as its transmit queue has room; the rest waits here, and
+        then in its own transmit buffer."""
+        wire, ports, port = self._wire, self._ports, client.port
+        for frame in ports.due(client, now, QUEUE - wire.waiting(port)):
+            if frame.fd and not self.fd:
+                self.misfits += 1
+                ports.unfit(client, frame)
+            else:
+                wire.offer(now, port, frame)
+        ports.tell_rest(client)
+        if client.flying:
+            self._busy_clients.add(client)
+        else:
+            self._busy_clients.discard(client)
+        if client.done:
+            ports.release(client)
             return
-        self._selector.unregister(client.socket)
-        self._full.append(client)
+        if client.untold:  # its socket is full: nothing will tell when it has room
+            self._look_at = min(self._look_at, now + _RETRY_NS)
+        due = client.next_ns()
+        if due is not None:
+            self._look_at = min(self._look_at, due)
+
+    def _look(self) -> None:
+        """Serve whose periodic frames are due, or who could not be told all."""
+        now = self._catch_up()
+        self._look_at = NEVER
+        for client in tuple(self._ports.attached.values()):
+            if client.tasks or client.untold:
+                self._serve(client, now)
 
     def _flush(self, now: int) -> None:
         self._busy.append((now, self._wire.busy_ns))

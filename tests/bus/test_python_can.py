@@ -4,8 +4,9 @@ import can
 import pytest
 
 from bus.frames import Frame
-from bus.ports import PortError, PortServer, ShmPort, served
+from bus.ports import PortError, PortServer, served
 from bus.python_can import HilBus
+from bus.shm_port import ShmPort
 
 
 @pytest.fixture

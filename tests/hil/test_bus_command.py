@@ -18,6 +18,7 @@ from standalone_processes import PATIENCE_S, hil, start, unique, wait_for
 
 from bus.frames import Frame
 from bus.ports import PortError, connect, peer, served
+from bus.records import pack_frame
 from bus.timing import frame_ns
 from hil.cli import main
 from hil.standalone.control import buses
@@ -130,8 +131,8 @@ def test_frames_take_their_time_and_clients_their_turn(lab: tuple[str, int], tmp
     count = 20
     with attach(name) as low, attach(name) as high, attach(name) as listener:
         for n in range(count):  # more than what is on the wire by the time the others start
-            low.send(message(0x700, bytes([n]) * 64), timeout=PATIENCE_S)
-            high.send(message(0x100, bytes([n]) * 64), timeout=PATIENCE_S)
+            low.send(message(0x700, bytes([n]) * 64))
+            high.send(message(0x100, bytes([n]) * 64))
         heard = [receive(listener) for _ in range(2 * count)]
         own = [receive(high) for _ in range(count)]  # of the other only
     assert [m.arbitration_id for m in own] == [0x700] * count
@@ -161,7 +162,7 @@ def test_a_client_that_floods_waits_itself_and_loses_nothing(lab: tuple[str, int
         thread = threading.Thread(target=listen)
         thread.start()
         for n in range(count):
-            sender.send(message(0x123, n.to_bytes(4, "little")), timeout=PATIENCE_S)
+            sender.send(message(0x123, n.to_bytes(4, "little")))
         thread.join(PATIENCE_S)
         told = status(name, tmp_path)  # with both attached
     assert heard == list(range(count))
@@ -179,9 +180,9 @@ def test_an_injected_delay_is_seen_in_the_round_trip_and_logged_with_its_time(
 
         def one_way() -> float:
             """Bus time from the end of one's frame to that of the other's reply to it, s."""
-            one.send(message(0x10), timeout=PATIENCE_S)
+            one.send(message(0x10))
             asked = receive(other).timestamp
-            other.send(message(0x11), timeout=PATIENCE_S)
+            other.send(message(0x11))
             return receive(one).timestamp - asked
 
         plain = min(one_way() for _ in range(20))
@@ -220,7 +221,7 @@ def test_the_log_is_read_back_by_python_can(lab: tuple[str, int], tmp_path: Path
     sent.append(can.Message(arbitration_id=0x1ABCDEF0, data=b"\x01\x02", is_extended_id=True))
     with attach(name) as sender, attach(name) as listener:
         for frame in sent:
-            sender.send(frame, timeout=PATIENCE_S)
+            sender.send(frame)
         heard = [receive(listener) for _ in sent]
     log = Path(status(name, tmp_path)["log"])
     os.kill(pid, signal.SIGINT)
@@ -237,7 +238,7 @@ def test_a_new_bus_of_the_name_keeps_the_log_before(tmp_path: Path) -> None:
     for _ in range(2):
         assert hil("bus", "up", name, "--log", str(tmp_path / "logs"), state=tmp_path).returncode == 0
         with attach(name) as sender, attach(name) as listener:
-            sender.send(message(0x55), timeout=PATIENCE_S)
+            sender.send(message(0x55))
             receive(listener)
         assert hil("bus", "down", name, state=tmp_path).returncode == 0
     for file in ("frames.log", "frames.log.1"):
@@ -266,7 +267,7 @@ def test_a_killed_bus_leaves_its_name_free_and_its_log_to_be_read(lab: tuple[str
     name, pid = lab
     log = Path(status(name, tmp_path)["log"]) / "frames.log"
     with attach(name) as sender:
-        sender.send(message(0x1), timeout=PATIENCE_S)
+        sender.send(message(0x1))
         wait_for(lambda: log.stat().st_size > 0, "a line in the log")  # while the bus idles
         os.kill(pid, signal.SIGKILL)
         with pytest.raises(can.CanOperationError, match="ended"):
@@ -285,10 +286,14 @@ def test_a_classical_bus_takes_no_fd_frames(tmp_path: Path) -> None:
     classical = can.Message(arbitration_id=0x10, data=b"\xaa" * 8, is_extended_id=False)
     try:
         with attach(name) as sender, attach(name) as listener:
-            sender.send(message(0x1), timeout=PATIENCE_S)
-            sender.send(classical, timeout=PATIENCE_S)
-            sender.send(classical, timeout=PATIENCE_S)
+            with pytest.raises(can.CanOperationError, match="classical"):
+                sender.send(message(0x1))
+            fd, _ = connect(name)  # one that does not know
+            fd.send(pack_frame(Frame(0x1, b""), tag=1))
+            sender.send(classical)
+            sender.send(classical)
             first, second = receive(listener), receive(listener)
+            fd.close()
         assert not first.is_fd and first.arbitration_id == 0x10
         frame = Frame(0x10, b"\xaa" * 8, fd=False, brs=False)
         assert second.timestamp - first.timestamp >= frame_ns(frame, 5e5, 5e5) * 1e-9 - 2e-9
@@ -304,7 +309,7 @@ def test_faults_from_the_start(tmp_path: Path) -> None:
     assert hil(*command, state=tmp_path).returncode == 0
     try:
         with attach(name) as sender:
-            sender.send(message(0x1), timeout=PATIENCE_S)
+            sender.send(message(0x1))
             told = wait_for(lambda: (t := status(name, tmp_path))["sent"] and t, "a frame")
         assert (told["sent"], told["lost"], told["lateness"]["events"]) == (1, 1, 0)
     finally:
@@ -334,15 +339,42 @@ def _attaches(name: str) -> bool:
     return True
 
 
+def test_periodic_frames_come_in_bus_time_also_on_an_idle_bus(lab: tuple[str, int]) -> None:
+    name, _ = lab
+    with attach(name) as sender, attach(name) as listener:
+        task = sender.send_periodic(message(0x50), 0.005)
+        heard = [receive(listener) for _ in range(30)]
+        task.stop()
+    assert {m.arbitration_id for m in heard} == {0x50}
+    # each as late as the machine was, but none of it adds up
+    assert heard[-1].timestamp - heard[0].timestamp >= 29 * 0.005 - 0.1
+
+
+@pytest.mark.parametrize("fault", ["loss=1", "delay=10s"])
+def test_a_sender_is_not_slowed_by_what_happens_to_its_frames_behind_the_bus(fault: str, tmp_path: Path) -> None:
+    """A controller knows that its frame has been on the bus, not that it arrives."""
+    name = unique("lab")
+    assert hil("bus", "up", name, "--no-log", "--set", f"bus.{name}.{fault}", state=tmp_path).returncode == 0
+    try:
+        with attach(name) as sender:
+            on_bus = [sender.transmit(message(0x100 + n % 7, bytes([n % 256]))) for n in range(300)]
+            times = [sent.result(PATIENCE_S) for sent in on_bus]
+        assert len(set(times)) == 300  # one after the other, by arbitration
+        told = status(name, tmp_path)
+        assert told["sent"] == 300 and told["lateness"]["events"] == 0
+    finally:
+        assert hil("bus", "down", name, state=tmp_path).returncode == 0
+
+
 def test_what_a_client_sent_before_it_left_is_still_sent(lab: tuple[str, int]) -> None:
     """Also when it leaves without having read all: the kernel then reports a reset before it gives what waits."""
     name, _ = lab
     with attach(name) as listener, attach(name) as other:
         sender = attach(name)
-        other.send(message(0x1), timeout=PATIENCE_S)
+        other.send(message(0x1))
         assert receive(listener).arbitration_id == 0x1  # sender has it as well, and never reads it
         for _ in range(50):
-            sender.send(message(0x2), timeout=PATIENCE_S)
+            sender.send(message(0x2))
         sender.shutdown()
         assert [receive(listener).arbitration_id for _ in range(50)] == [0x2] * 50
 
@@ -353,7 +385,7 @@ def test_malformed_records_are_counted_and_do_no_harm(lab: tuple[str, int], tmp_
     with attach(name) as sender, attach(name) as listener:
         for junk in (b"x", b"\xff" * 80, bytes(5), b"\0" * 17):
             connection.send(junk)
-        sender.send(message(0x7), timeout=PATIENCE_S)
+        sender.send(message(0x7))
         assert receive(listener).arbitration_id == 0x7
         told = wait_for(
             lambda: (t := status(name, tmp_path)) and sum(c["malformed"] for c in t["clients"]) and t, "the count"

@@ -15,7 +15,7 @@ from mcap.records import Chunk, MessageIndex
 from mcap.stream_reader import StreamReader
 from mcap_ros2.decoder import DecoderFactory
 
-from bus.frames import Frame
+from bus.frames import ErrorFrame, Frame
 from hil.errors import UserError
 from hil.mcap_writer import McapWriter, field_names
 from hil.recorder import Recorder, RowRecorder
@@ -134,6 +134,30 @@ def test_the_digest_does_not_depend_on_where_flushes_were(flushes: set[int]) -> 
 
 def test_writing_to_a_directory_does_not_change_the_digest(tmp_path: Path) -> None:
     assert write(tmp_path).digest() == write(None).digest()
+
+
+def test_other_logs_hold_the_same_frames_and_do_not_change_the_digest(tmp_path: Path) -> None:
+    """Read by somebody else while the recorder is still open; ``asc`` twice is once."""
+    readers = {"log": can.CanutilsLogReader, "asc": can.ASCReader, "blf": can.BLFReader}
+    recorder = Recorder(tmp_path, CHANNELS, BUSES, log_formats=("asc", "pcap", "candump", "asc", "blf"))
+    plain = Recorder(None, CHANNELS, BUSES)
+    for r in (recorder, plain):
+        for n in range(300):
+            r.frame(n, 0, Frame(0x184, bytes([n % 256] * 64), True, True, False))
+        r.frame(300, 0, ErrorFrame(0x88, bytes(8)))
+        r.flush(300)
+    assert (tmp_path / "left_leg.pcap").stat().st_size == 24 + 300 * (16 + 72) + 16 + 16
+    assert len(list(can.CanutilsLogReader(tmp_path / "left_leg.log"))) == 301
+    assert len(list(can.ASCReader(tmp_path / "left_leg.asc"))) == 301
+    assert len(list(can.BLFReader(tmp_path / "left_leg.blf"))) > 301 - 16 * 1024 / 64
+    recorder.close()
+    for suffix, reader in readers.items():
+        read = list(reader(tmp_path / f"left_leg.{suffix}"))
+        assert len(read) == 301 and read[7].data == bytes([7] * 64) and read[300].is_error_frame
+    assert recorder.digest() == plain.digest()
+    assert {path.name for path in tmp_path.iterdir()} == {
+        SIGNALS_FILE, *(f"{bus}.{suffix}" for bus in BUSES for suffix in ("log", "asc", "blf", "pcap"))
+    }  # fmt: skip
 
 
 @given(st.integers(0, 2), st.integers(0, 63), st.sampled_from(["world", "drives", "time", "bus", "frame"]))

@@ -84,7 +84,7 @@ class Master:
         message = can.Message(
             arbitration_id=messages.COMMAND, is_extended_id=False, is_fd=True, bitrate_switch=True, data=data
         )
-        self.bus.send(message, timeout=PATIENCE_S)
+        self.bus.send(message)
 
     def until(self, reached: Callable[[State], bool], controlword: int, torque: float = 0.0) -> State:
         """Repeat a command until a report satisfies ``reached``."""

@@ -1,0 +1,49 @@
+"""An emulated bus in a process of its own, in wall-clock time: a wire, and the server that lets programs attach."""
+
+import multiprocessing
+import os
+import time
+from collections.abc import Iterator
+from multiprocessing.synchronize import Event
+
+import pytest
+
+from bus.config import BusConfig
+from bus.ports import PortServer
+from bus.wire import Wire
+from hil.streams import streams
+
+TOOLS = 1  # the wire's port for attached programs; port 0 acknowledges
+
+
+def pump(run: str, channel: str, ready: Event, stop: Event) -> None:
+    """Drive the wire by the clock until told to stop."""
+    wire = Wire(channel, BusConfig(), 2, streams(1))
+    server = PortServer(channel, run, port=TOOLS)
+    ready.set()
+    start = time.monotonic_ns()
+    while not stop.is_set():
+        now = time.monotonic_ns() - start
+        while wire.next_time() <= now:
+            for delivery in wire.advance(wire.next_time()):
+                server.broadcast(delivery.time, delivery.sender, delivery.frame)
+        for frame in server.poll(now):
+            if not wire.offer(now, TOOLS, frame):
+                server.refused(frame)
+        time.sleep(100e-6)
+    server.close()
+
+
+@pytest.fixture(scope="module")
+def lab() -> Iterator[str]:
+    """Channel of a bus that runs."""
+    context = multiprocessing.get_context("fork")
+    ready, stop = context.Event(), context.Event()
+    run = f"lab-{os.getpid()}"
+    process = context.Process(target=pump, args=(run, "can0", ready, stop), daemon=True)
+    process.start()
+    assert ready.wait(20)
+    yield f"{run}/can0"
+    stop.set()
+    process.join(20)
+    assert process.exitcode == 0
