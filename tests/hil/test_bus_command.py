@@ -394,18 +394,14 @@ def test_malformed_records_are_counted_and_do_no_harm(lab: tuple[str, int], tmp_
     assert max(c["malformed"] for c in told["clients"]) >= 2
 
 
-def test_an_idle_bus_sleeps(lab: tuple[str, int], tmp_path: Path) -> None:
-    """Its loop is not woken by anything but what comes: counted by the kernel, over a time the other side takes."""
-    name, pid = lab
-
-    def switches() -> int:
-        text = Path(f"/proc/{pid}/status").read_text()
-        return int(re.search(r"^voluntary_ctxt_switches:\s+(\d+)", text, re.MULTILINE).group(1))  # type: ignore[union-attr]
-
-    before = switches()
-    subprocess.run([sys.executable, "-c", "import numpy, can"], check=True)  # takes some tenths of a second
-    assert switches() - before <= 2
-    assert hil("bus", "down", name, state=tmp_path).returncode == 0
+def test_an_idle_bus_sleeps(lab: tuple[str, int]) -> None:
+    """A loop that spins is runnable all the time, on however loaded a machine."""
+    _, pid = lab
+    states = []
+    with subprocess.Popen([sys.executable, "-c", "import numpy, can"]) as elsewhere:  # takes some tenths of a second
+        while elsewhere.poll() is None:
+            states.append(Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0])
+    assert len(states) > 50 and states.count("S") > 0.8 * len(states)
 
 
 MISTAKES: dict[tuple[str, ...], str] = {
