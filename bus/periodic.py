@@ -17,26 +17,21 @@ class Task:
         self._period = period_ns
         self._end = None if duration_ns < 0 else now_ns + duration_ns
         self._frames = frames
-        self._next = now_ns
+        self.next_ns = now_ns
         self._turn = 0
 
     @property
-    def next_ns(self) -> int:
-        """When the next one is due."""
-        return self._next
-
-    @property
     def finished(self) -> bool:
-        return self._end is not None and self._next >= self._end
+        return self._end is not None and self.next_ns >= self._end
 
     def due(self, now_ns: int) -> list[Frame]:
         """What has become due by ``now_ns``, at most ``_MAX_DUE``; what is more is left out."""
         last = now_ns if self._end is None else min(now_ns, self._end - 1)
-        count = (last - self._next) // self._period + 1 if last >= self._next else 0
+        count = (last - self.next_ns) // self._period + 1 if last >= self.next_ns else 0
         frames = self._frames
         due = [frames[(self._turn + n) % len(frames)] for n in range(min(count, _MAX_DUE))]
         self._turn = (self._turn + count) % len(frames)
-        self._next += count * self._period
+        self.next_ns += count * self._period
         return due
 
     def exchange(self, frames: list[Frame]) -> None:

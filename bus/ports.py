@@ -1,8 +1,7 @@
 """Ports on an emulated bus for any process of the same user: a Unix socket that carries the records of ``bus.records``.
 
 All clients of a server share one CAN controller (one port of the wire), as all programs on one SocketCAN interface
-do: its error counters and its transmit queue. A client hands over at most ``WINDOW`` frames whose fate it does not
-know yet, and at most ``IN_FLIGHT`` of them wait in the controller, half of its queue: one that floods does not take
+do: its error counters and its transmit queue. A client can fill half of that queue: one that floods does not take
 the place of the others.
 """
 
@@ -14,40 +13,14 @@ import json
 import os
 import re
 import socket
-import struct
-from collections import deque
 from typing import Any
 
 from bus.frames import ErrorFrame, Frame
-from bus.periodic import Task
-from bus.records import (
-    FLUSH,
-    FLUSHED,
-    FRAME,
-    LARGEST,
-    OWN,
-    PERIODIC,
-    STOP,
-    UNSEEN,
-    VERSION,
-    ControllerState,
-    MalformedRecordError,
-    kind_and_tag,
-    pack_error,
-    pack_frame,
-    pack_note,
-    pack_state,
-    unpack_frame,
-    unpack_task,
-)
+from bus.port_client import Client, peer
+from bus.records import VERSION, ControllerState, pack_error, pack_frame
 
-WINDOW = 64  # frames of a client whose fate it does not know
-IN_FLIGHT = 16  # frames of a client that wait in the controller
-_UNSEEN_NS = 1_000_000_000  # bus time after which a frame that was not on the bus is given up
 _BACKLOG = 16
 _MAX_CLIENTS = 64
-_MAX_TASKS = 64
-_MAX_RECORDS = 2 * WINDOW  # that a client is heard for in one poll
 _PREFIX = "hume-hil"
 
 
@@ -57,27 +30,6 @@ class PortError(RuntimeError):
 
 def _address(run: str, channel: str) -> str:
     return f"\0{_PREFIX}/{os.getuid()}/{run}/{channel}"
-
-
-def peer(connection: socket.socket) -> tuple[int, int]:
-    """Process and user at the other end."""
-    credentials = connection.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, struct.calcsize("3i"))
-    pid, uid, _ = struct.unpack("3i", credentials)
-    return pid, uid
-
-
-class Client:
-    """A process that is attached, and what it has sent."""
-
-    def __init__(self, connection: socket.socket, pid: int) -> None:
-        self.connection = connection
-        self.pid = pid
-        self.left = False
-        self.backlog: deque[tuple[int, Frame]] = deque()  # tag and frame, not yet handed to the bus
-        self.flying: deque[tuple[int, Frame, int]] = deque()  # handed to the bus at that time, not yet seen on it
-        self.untold: deque[bytes] = deque()  # records about its own frames that its socket did not take
-        self.tasks: dict[int, Task] = {}
-        self.state: ControllerState | None = None  # as it was told
 
 
 class PortServer:
@@ -90,16 +42,15 @@ class PortServer:
         channel: name of the bus.
         run: name of the run, or of whatever else has buses.
         endpoint: where the run's Zenoh session listens.
-        notice: what a client is told when it sends for the first time.
         port: the wire's port that the clients share; without it a frame that a client has sent is also taken for
             its own when another node sends the same.
-        about: what else a client is told when it attaches.
+        about: what else a client is told when it attaches: ``notice``, what its program tells the user when it
+            sends for the first time.
     """
 
     def __init__(
-        self, channel: str, run: str, endpoint: str | None = None, notice: str | None = None, port: int | None = None,
-        **about: Any,
-    ) -> None:  # fmt: skip
+        self, channel: str, run: str, endpoint: str | None = None, port: int | None = None, **about: Any
+    ) -> None:
         self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         self._listener.setblocking(False)
         try:
@@ -110,21 +61,30 @@ class PortServer:
                 raise PortError(f"a run named {run!r} serves {channel!r} already") from None
             raise PortError(f"{run!r}/{channel!r} cannot be served: {error}") from None
         self._listener.listen(_BACKLOG)
-        hello = {"version": VERSION, "run": run, "channel": channel, "endpoint": endpoint, "notice": notice, **about}
+        hello = {"version": VERSION, "run": run, "channel": channel, "endpoint": endpoint, **about}
         self._hello = json.dumps(hello).encode()
         self._port = port
         self._clients: list[Client] = []
-        self._departed: list[Client] = []  # gone, but what they sent has not gone to the bus yet
+        self._departed: list[Client] = []  # gone, but what they sent has not been on the bus yet
+        self._gone = [0, 0]  # overruns and malformed of those
         self._now_ns = 0
         self._turn = 0
         self._state = ControllerState(0, 0, 0)
-        self.overruns = 0  # frames that a slow client missed
-        self.malformed = 0
         self.first_sender: int | None = None  # process whose frame was the first
 
     @property
     def clients(self) -> int:
         return len(self._clients)
+
+    @property
+    def overruns(self) -> int:
+        """Records that slow clients missed."""
+        return self._gone[0] + sum(client.missed for client in self._clients)
+
+    @property
+    def malformed(self) -> int:
+        """What clients sent and was no record."""
+        return self._gone[1] + sum(client.malformed for client in self._clients)
 
     def poll(self, now_ns: int | None = None) -> list[Frame]:
         """Let new clients in; return the frames that clients want on the bus now. Never blocks.
@@ -141,103 +101,40 @@ class PortServer:
         for n in range(len(clients)):
             client = clients[(n + self._turn) % len(clients)]
             if not client.left:
-                self._listen_to(client, now_ns)
-            if client.backlog or client.flying or client.tasks or client.untold:
-                self._serve(client, now_ns, frames)
-            if client.state is not self._state and not client.left and self._send(client, pack_state(self._state)):
-                client.state = self._state
+                client.hear(now_ns)
+                if client.left:
+                    self._depart(client)
+            if not client.idle:
+                due = client.due(now_ns)
+                if due and self.first_sender is None:
+                    self.first_sender = client.pid
+                frames += due
+            if not client.left:
+                client.tell_state(self._state)
         if self._departed:
-            self._departed = [client for client in self._departed if client.backlog or client.flying]
+            self._departed = [client for client in self._departed if not client.idle]
         return frames
 
     def _admit(self) -> None:
         with contextlib.suppress(BlockingIOError, ConnectionError):
             while True:
                 connection, _ = self._listener.accept()
-                pid, uid = peer(connection)
-                if uid != os.getuid() or len(self._clients) + len(self._departed) >= _MAX_CLIENTS:
+                if peer(connection)[1] != os.getuid() or len(self._clients) + len(self._departed) >= _MAX_CLIENTS:
                     connection.close()
                     continue
-                connection.setblocking(False)
-                with contextlib.suppress(OSError):
-                    connection.send(self._hello)
-                self._clients.append(Client(connection, pid))
+                client = Client(connection)
+                client.give(self._hello)
+                self._clients.append(client)
 
-    def _listen_to(self, client: Client, now_ns: int) -> None:
-        for _ in range(_MAX_RECORDS):  # a client that floods must not stop the run
-            try:
-                record = client.connection.recv(LARGEST + 1)
-            except BlockingIOError:
-                return
-            except ConnectionResetError:  # it left with messages unread; what it has sent follows
-                continue
-            except OSError:
-                record = b""
-            if not record:
-                self._drop(client)
-                return
-            try:
-                self._heed(client, record, now_ns)
-            except MalformedRecordError:
-                self.malformed += 1
-
-    def _heed(self, client: Client, record: bytes, now_ns: int) -> None:
-        kind, tag = kind_and_tag(record)
-        if kind == FRAME:
-            frame = unpack_frame(record)[2]
-            if len(client.backlog) >= WINDOW + IN_FLIGHT:  # periodic frames may have come back to it
-                raise MalformedRecordError("more frames than the window allows")
-            client.backlog.append((tag, frame))
-            if self.first_sender is None:
-                self.first_sender = client.pid
-        elif kind == PERIODIC:
-            period_ns, duration_ns, frames = unpack_task(record)
-            task = client.tasks.get(tag)
-            if period_ns == 0:
-                if task is not None:
-                    task.exchange(frames)
-            elif task is None and len(client.tasks) >= _MAX_TASKS:
-                raise MalformedRecordError("too many periodic tasks")
-            else:
-                client.tasks[tag] = Task(now_ns, period_ns, duration_ns, frames)
-                if self.first_sender is None:
-                    self.first_sender = client.pid
-        elif kind == STOP:
-            client.tasks.pop(tag, None)
-        elif kind == FLUSH:
-            for discarded, _ in client.backlog:
-                self._tell_fate(client, FLUSHED, discarded)
-            client.backlog.clear()
-        else:
-            raise MalformedRecordError(f"a client does not send records of kind {kind}")
-
-    def _serve(self, client: Client, now_ns: int, frames: list[Frame]) -> None:
-        """Append what may go to the bus now to ``frames``."""
-        flying, backlog = client.flying, client.backlog
-        while flying and flying[0][2] <= now_ns - _UNSEEN_NS:
-            self._tell_fate(client, UNSEEN, flying.popleft()[0])
-        for number, task in list(client.tasks.items()):
-            for frame in task.due(now_ns)[: IN_FLIGHT - len(flying)]:  # what finds no place was due in vain
-                flying.append((0, frame, now_ns))
-                frames.append(frame)
-            if task.finished:
-                del client.tasks[number]
-        while backlog and len(flying) < IN_FLIGHT:
-            tag, frame = backlog.popleft()
-            flying.append((tag, frame, now_ns))
-            frames.append(frame)
-        while client.untold and self._send(client, client.untold[0]):
-            client.untold.popleft()
+    def _depart(self, client: Client) -> None:
+        self._clients.remove(client)
+        self._departed.append(client)
+        self._gone[0] += client.missed
+        self._gone[1] += client.malformed
 
     def refused(self, frame: Frame) -> None:
         """The transmit queue was full when ``frame``, of the last ``poll``, was offered: it is offered again later."""
-        for client in (*self._clients, *self._departed):
-            for n in range(len(client.flying) - 1, -1, -1):
-                tag, sent, _ = client.flying[n]
-                if sent == frame:
-                    del client.flying[n]
-                    client.backlog.appendleft((tag, frame))
-                    return
+        any(client.refused(frame) for client in (*self._clients, *self._departed))
 
     def broadcast(self, time_ns: int, sender: int, frame: Frame) -> None:
         """Send ``frame`` to all clients; one that does not keep up misses it. A client that has sent this
@@ -245,65 +142,31 @@ class PortServer:
         if not (self._clients or self._departed):
             return
         self._now_ns = time_ns
-        origin, tag = self._origin(frame) if self._port is None or sender == self._port else (None, 0)
+        origin = None
+        if self._port is None or sender == self._port:
+            for client in (*self._clients, *self._departed):
+                if client.landed(time_ns, sender, frame):
+                    origin = client
+                    break
         record = pack_frame(frame, time_ns, sender)
-        for client in tuple(self._clients):
+        for client in self._clients:
             if client is not origin:
-                self._tell(client, record)
-            else:
-                own = pack_frame(frame, time_ns, sender, OWN, tag)
-                if client.untold or not self._send(client, own):
-                    client.untold.append(own)
+                client.give(record)
 
     def broadcast_error(self, time_ns: int, error: ErrorFrame, sender: int = 0) -> None:
         """Send an error frame to all clients."""
         record = pack_error(error, time_ns, sender)
-        for client in tuple(self._clients):
-            self._tell(client, record)
+        for client in self._clients:
+            client.give(record)
 
     def set_state(self, tec: int, rec: int, state: int) -> None:
         """Error counters of the clients' controller, and whether it is error active (0), error passive (1) or off
         the bus (2). Clients are told of a change at the next ``poll``."""
-        new = ControllerState(tec, rec, state)
-        if new != self._state:
-            self._state = new
-
-    def _origin(self, frame: Frame) -> tuple[Client | None, int]:
-        for client in (*self._clients, *self._departed):
-            for n, (tag, sent, _) in enumerate(client.flying):
-                if sent == frame:
-                    del client.flying[n]
-                    return client, tag
-        return None, 0
-
-    def _tell(self, client: Client, record: bytes) -> None:
-        if not self._send(client, record):
-            self.overruns += 1
-
-    def _tell_fate(self, client: Client, kind: int, tag: int) -> None:
-        if tag:
-            client.untold.append(pack_note(kind, tag, self._now_ns))
-
-    def _send(self, client: Client, record: bytes) -> bool:
-        try:
-            client.connection.send(record)
-        except BlockingIOError:
-            return False
-        except OSError:
-            pass  # it has left; what it has sent is still to be read
-        return True
-
-    def _drop(self, client: Client) -> None:
-        client.left = True
-        client.tasks.clear()
-        client.untold.clear()
-        client.connection.close()
-        self._clients.remove(client)
-        self._departed.append(client)
+        self._state = ControllerState(tec, rec, state)
 
     def close(self) -> None:
         for client in self._clients:
-            client.connection.close()
+            client.close()
         self._clients.clear()
         self._departed.clear()
         self._listener.close()

@@ -43,7 +43,7 @@ class PortTap:
         try:
             for b, name in enumerate(buses):
                 port = None if ports is None else ports[b]
-                self._servers.append(PortServer(name, run, endpoint, _NOTICE, port))
+                self._servers.append(PortServer(name, run, endpoint, port, notice=_NOTICE))
         except PortError:
             self.close()
             raise

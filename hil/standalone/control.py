@@ -7,7 +7,8 @@ import select
 import signal
 from typing import Any
 
-from bus.ports import PortError, connect, find_runs, peer, served
+from bus.port_client import peer
+from bus.ports import PortError, connect, find_runs, served
 from bus.zenoh_link import keys
 from hil import control
 from hil.errors import EmulationError, UserError

@@ -16,7 +16,7 @@ from typing import Any
 
 from bus.config import BusConfig
 from bus.link import NEVER
-from bus.wire import QUEUE, Wire
+from bus.wire import Wire
 from hil.errors import UserError
 from hil.lateness import Lateness
 from hil.scenario import parse_value
@@ -26,7 +26,6 @@ from hil.streams import streams
 
 MAX_CLIENTS = 32
 _FLUSH_NS = 100_000_000
-_RETRY_NS = 1_000_000
 _LOAD_SAMPLES = 11  # one per flush: the load of the last second
 _SPIN_NS = 40_000  # a sleeper wakes this much too late: sleep short, then look again and again
 _PR_SET_TIMERSLACK = 29
@@ -121,10 +120,8 @@ class StandaloneBus:
                 self._flush_at = now + _FLUSH_NS
         # MERGE wire errors: tell wire.error_frames() and wire.ports_state(client.port) to the client of each port
         for client in tuple(self._busy_clients):
-            if len(client.flying) > wire.waiting(client.port):
-                delivered = [frame for _, sender, frame in deliveries if sender == client.port]
-                while len(client.flying) > wire.waiting(client.port):
-                    ports.sent(client, due, delivered)
+            if client.in_wire > wire.waiting(client.port):
+                client.completed(due, [frame for _, sender, frame in deliveries if sender == client.port])
                 self._serve(client, due)
 
     def _attend(self, ready: list[tuple[selectors.SelectorKey, int]]) -> None:
@@ -133,16 +130,16 @@ class StandaloneBus:
         for key, _ in ready:
             if key.fileobj is self._ports:
                 for new in self._ports.accept():
-                    self._selector.register(new.connection, selectors.EVENT_READ, new)
+                    self._selector.register(new.socket, selectors.EVENT_READ, new)
             elif key.data is None:
                 os.eventfd_read(self.requests.bell)
                 while self.requests:
                     self.requests.popleft()()
             else:
                 client: PortClient = key.data
-                self._ports.hear(client, now)
+                client.hear(now)
                 if client.left:
-                    self._selector.unregister(client.connection)
+                    self._selector.unregister(client.socket)
                 self._serve(client, now)
 
     def _catch_up(self) -> int:
@@ -154,36 +151,31 @@ class StandaloneBus:
         return now
 
     def _serve(self, client: PortClient, now: int) -> None:
-        """Offer what ``client`` wants on the bus, as far as its transmit queue has room; the rest waits here, and
-        then in its own transmit buffer."""
-        wire, ports, port = self._wire, self._ports, client.port
-        for frame in ports.due(client, now, QUEUE - wire.waiting(port)):
+        """Offer what ``client`` wants on the bus, as far as its transmit queue has room."""
+        wire, port = self._wire, client.port
+        for frame in client.due(now):
             if frame.fd and not self.fd:
                 self.misfits += 1
-                ports.unfit(client, frame)
-            else:
-                wire.offer(now, port, frame)
-        ports.tell_rest(client)
-        if client.flying:
+                client.unfit(frame, now)
+            elif not wire.offer(now, port, frame):
+                client.refused(frame)
+        if client.in_wire:
             self._busy_clients.add(client)
         else:
             self._busy_clients.discard(client)
-        if client.done:
-            ports.release(client)
-            return
-        if client.untold:  # its socket is full: nothing will tell when it has room
-            self._look_at = min(self._look_at, now + _RETRY_NS)
-        due = client.next_ns()
-        if due is not None:
-            self._look_at = min(self._look_at, due)
+            if client.left and client.idle:
+                self._ports.release(client)
+        self._look_at = min(self._look_at, client.next_ns())
 
     def _look(self) -> None:
-        """Serve whose periodic frames are due, or who could not be told all."""
+        """Serve those who want to be looked after though they have sent nothing: periodic frames are due."""
         now = self._catch_up()
         self._look_at = NEVER
         for client in tuple(self._ports.attached.values()):
-            if client.tasks or client.untold:
+            if client.next_ns() <= now:
                 self._serve(client, now)
+            else:
+                self._look_at = min(self._look_at, client.next_ns())
 
     def _flush(self, now: int) -> None:
         self._busy.append((now, self._wire.busy_ns))

@@ -20,19 +20,23 @@ from hypothesis import strategies as st
 
 from bus.can_messages import to_frame, to_message
 from bus.frames import CAN_FD_LENGTHS, ErrorFrame, Frame, checked
+from bus.link import NEVER
 from bus.periodic import Task
-from bus.ports import IN_FLIGHT, WINDOW, PortError, PortServer, find_runs
+from bus.port_client import IN_FLIGHT, WINDOW, Client
+from bus.ports import PortError, PortServer, find_runs
 from bus.python_can import HilBus
 from bus.records import (
     FD,
     FLUSH,
     HEADER,
+    OWN,
     REMOTE,
     VERSION,
     MalformedRecordError,
     kind_and_tag,
     pack_frame,
     pack_note,
+    pack_task,
     unpack_frame,
 )
 from bus.shm_port import ShmPort
@@ -212,7 +216,7 @@ def test_a_client_that_does_not_read_never_blocks_the_run(server: PortServer, bu
 
 
 def test_malformed_records_are_dropped_and_counted(server: PortServer, bus: HilBus) -> None:
-    raw = socket.socket(fileno=os.dup(bus._socket.fileno()))
+    raw = socket.socket(fileno=os.dup(bus._connection._socket.fileno()))
     good = pack_frame(Frame(0x181, b"\x01"))
     kinds = [good[:16] + bytes([kind]) + good[17:] for kind in (1, 2, 3, 4, 5, 7, 9, 255)]
     remote_fd = good[:17] + bytes([FD | REMOTE]) + good[18:]
@@ -286,7 +290,6 @@ def test_runs_are_found_with_their_endpoint(server: PortServer) -> None:
         "run": RUN,
         "channel": "left_leg",
         "endpoint": "tcp/127.0.0.1:1",
-        "notice": None,
     }
     assert {"interface": "hil", "channel": CHANNEL} in can.detect_available_configs("hil")
 
@@ -399,6 +402,36 @@ def test_a_client_that_does_not_read_still_learns_what_became_of_its_frames(serv
         bus.recv(0)
         server.poll(4_000)
     assert [transmission.result(0) for transmission in sent] == [3e-6] * 8
+
+
+def test_a_client_says_when_it_must_be_looked_after() -> None:
+    """For a server that sleeps meanwhile."""
+    ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    with ours, theirs:
+        client = Client(ours)
+        assert client.next_ns() == NEVER and client.idle
+        theirs.send(pack_frame(Frame(1, b""), tag=1))
+        client.hear(5)
+        assert client.due(5) == [Frame(1, b"")] and client.next_ns() == 5 + 10**9
+        theirs.send(pack_task(2, 1000, 2500, [Frame(2, b"")]))
+        client.hear(100)
+        assert client.next_ns() == 100 and client.due(1200) == [Frame(2, b"")] * 2 and client.next_ns() == 2100
+        assert client.due(2100) == [Frame(2, b"")] and client.next_ns() == 5 + 10**9
+        while True:  # its socket is full
+            missed = client.missed
+            client.give(pack_frame(Frame(3, bytes(64))))
+            if client.missed > missed:
+                break
+        assert client.landed(3000, 0, Frame(1, b"")) and client.next_ns() == 2100 + 10**6
+        assert client.landed(3000, 0, Frame(2, b""))
+        assert not client.idle
+        while True:
+            try:
+                theirs.recv(100, socket.MSG_DONTWAIT)
+            except BlockingIOError:
+                break
+        client.due(4000)
+        assert kind_and_tag(theirs.recv(100)) == (OWN, 1)
 
 
 def test_only_frames_from_the_port_of_the_tools_are_taken_for_theirs() -> None:
@@ -604,7 +637,7 @@ def test_a_client_takes_any_records(records: list[bytes]) -> None:
         with attached(server, channel=f"{RUN}/fuzz") as bus:
             (client,) = server._clients
             for record in records:
-                client.connection.send(record)
+                client.socket.send(record)
                 received = bus.recv(0)
                 assert received is None or isinstance(received, can.Message)
             while bus.recv(0) is not None:

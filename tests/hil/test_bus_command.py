@@ -17,7 +17,8 @@ import pytest
 from standalone_processes import PATIENCE_S, hil, start, unique, wait_for
 
 from bus.frames import Frame
-from bus.ports import PortError, connect, peer, served
+from bus.port_client import peer
+from bus.ports import PortError, connect, served
 from bus.records import pack_frame
 from bus.timing import frame_ns
 from hil.cli import main

@@ -12,7 +12,7 @@ import pytest
 
 from bus import messages
 from bus.frames import Frame
-from bus.ports import IN_FLIGHT
+from bus.port_client import IN_FLIGHT
 from bus.timing import frame_ns
 from hil.control import serve_run
 from hil.run import Assembly, Outcome, Request, run
@@ -64,11 +64,11 @@ def flooded(identifier: str, out: Path, start_ns: int = 0, duration: str = "1.6s
             if assembly.system.now_ns < start_ns:
                 return []
             deadline = time.monotonic() + 60
-            while not server.clients or len(server._clients[0].backlog) < IN_FLIGHT:
+            while not server.clients or len(server._clients[0]._backlog) < IN_FLIGHT:
                 assert time.monotonic() < deadline and process.poll() is None
                 server._admit()
-                for client in list(server._clients):
-                    server._listen_to(client, assembly.system.now_ns)
+                for client in server._clients:
+                    client.hear(assembly.system.now_ns)
             return poll()
 
         tap.poll = poll_when_there_is_more
