@@ -30,6 +30,7 @@ class InternalForceConfig(Config):
     reference: Newtons = 0.0
     feedback: bool = True  # (5.2); false: feed-forward only (5.1)
     gain: Gain = 3.0  # K_F of (5.2)
+    cutoff: Hertz = 5.0  # of the sensed force that is fed back; the loop follows up to (1 + K_F) times that
 
 
 class PathConfig(Config):
@@ -51,7 +52,7 @@ class ControllerConfig(Config):
     variant: str | None = None  # masses of the controller's model, if not the robot's description
     velocity_cutoff: Hertz = 60.0  # of joint velocities
     orientation_time_constant: Seconds = 2.0  # of the accelerometer's correction of the integrated gyro
-    enable_at: Seconds = 0.6  # when the drives are switched on; the robot hangs still until then
+    stand_at: Seconds = 0.6  # the robot hangs still until then, its joints held by the drives
     weight_ramp: Seconds = 0.2  # torques grow from nothing over this time
     tasks: TaskSetConfig = TaskSetConfig()
     internal_force: InternalForceConfig = InternalForceConfig()

@@ -33,8 +33,8 @@ class Phase(IntEnum):
     """What the controller is doing, in order."""
 
     OFF = 0  # waiting for the first measurements
-    ENABLING = 1  # walking the drives through their states
-    RAMP = 2  # torques grow from nothing
+    ENABLING = 1  # walking the drives through their states; they hold the joints while the robot hangs still
+    RAMP = 2  # from the torques that held the joints to those of the control law
     ON = 3
 
 
@@ -90,7 +90,9 @@ class Controller:
         self._memory[ORIENTATION] = self._hanging.quaternion
         self._gyro, self._force = np.zeros(3), np.zeros(3)
         self._counts = np.zeros(3 * n)  # positions, velocities, torques as the drives send them
-        self._start = np.zeros(2)  # centre of mass x, z when the drives were on
+        self._hold: tuple[int, ...] = (0,) * n  # counts: where the joints were at first
+        self._start = np.zeros(2)  # centre of mass x, z when it began to stand
+        self._held = np.zeros(n)  # torques then
         self._schedule = np.zeros(4)
         self._gains = task_gains(config.tasks, 1.0 / config.rate)
         self._q, self._v = np.zeros(self._model.nq), np.zeros(self._model.nv)
@@ -115,7 +117,8 @@ class Controller:
         inputs = {
             **self._model.sources,
             "counts": self._counts, "gyro": self._gyro, "zero": self._hanging.zero, "force": self._force,
-            "memory": self._memory, "q": self._q, "v": self._v, "start": self._start, "schedule": self._schedule,
+            "memory": self._memory, "q": self._q, "v": self._v,
+            "start": self._start, "held": self._held, "schedule": self._schedule,
             "gains": self._gains, "path": path_constants(config.path), "filters": filter_constants(config),
             "internal_force": np.array([config.internal_force.reference, gain]),
         }  # fmt: skip
@@ -160,14 +163,14 @@ class Controller:
         self._fresh = [False] * self._n
         if not self._imu_seen or b"" in self._states:
             return self._answer(now_ns, [Setpoint(state_counter=counter) for counter in self._counters])
-        if self._phase is Phase.OFF and now_ns * 1e-9 >= self._config.enable_at:
-            self._enter(Phase.ENABLING, now_ns)
-
         fields = self._unpack_states(b"".join(self._states))
         words, positions = fields[_WORD::_FIELDS], fields[_POSITION::_FIELDS]
+        if self._phase is Phase.OFF:
+            self._hold = positions
+            self._enter(Phase.ENABLING, now_ns)
         self._pack_counts(self._counts.data, 0, *positions, *fields[_VELOCITY::_FIELDS], *fields[_TORQUE::_FIELDS])
         self._predict()
-        if self._phase is Phase.OFF:
+        if self._phase is Phase.ENABLING:
             self._hanging.take(self._gyro, self._force)
             self._q[3:7], self._v[3:6] = self._hanging.quaternion, 0.0
         self._model.compute(self._q, self._v)
@@ -190,8 +193,11 @@ class Controller:
     def _advance(self, words: tuple[int, ...], now_ns: int) -> None:
         """Enter the next phase when this one has done its work."""
         if self._phase is Phase.ENABLING:
-            if all(word & _MASK == Statusword.OPERATION_ENABLED for word in words):
+            if now_ns * 1e-9 >= self._config.stand_at and all(
+                word & _MASK == Statusword.OPERATION_ENABLED for word in words
+            ):
                 self._start[:] = self.telemetry[0:3:2]
+                self._held[:] = self._counts[2 * self._n :] * messages.NEWTON_METRE
                 self._enter(Phase.RAMP, now_ns)
                 self._schedule[0] = 1.0
         elif self._phase is Phase.RAMP and now_ns - self._since_ns >= self._config.weight_ramp * 1e9:
@@ -204,12 +210,11 @@ class Controller:
 
     def _setpoints(self, words: tuple[int, ...], positions: tuple[int, ...]) -> list[Setpoint]:
         """One set-point per joint, from the statuswords and positions (counts) of the drives."""
-        if self._phase < Phase.RAMP:
-            self._torque[:] = 0.0
-            if self._phase is Phase.OFF:
-                return [Setpoint(state_counter=counter) for counter in self._counters]
-        torques = self._torque.tolist()
         mode = Mode.TORQUE
+        if self._phase < Phase.RAMP:
+            mode, positions = Mode.POSITION, self._hold
+            self._torque[:] = 0.0
+        torques = self._torque.tolist()
         if not math.isfinite(sum(torques)):
             mode, torques = Mode.DAMPING, [0.0] * self._n
         answers = _WHILE_STANDING if self._phase >= Phase.RAMP else _WHILE_ENABLING
@@ -229,9 +234,9 @@ class Controller:
 
     # --- state ----------------------------------------------------------------------------------------------------
 
-    _PLAIN = ("_imu_seen", "_phase", "_since_ns", "_counter", "_missed", "_malformed")
+    _PLAIN = ("_imu_seen", "_phase", "_hold", "_since_ns", "_counter", "_missed", "_malformed")
     _LISTS = ("_states", "_counters", "_arrivals", "_fresh")
-    _ARRAYS = ("telemetry", "_memory", "_gyro", "_force", "_start", "_schedule")  # all else is computed anew
+    _ARRAYS = ("telemetry", "_memory", "_gyro", "_force", "_start", "_held", "_schedule")  # all else is computed anew
 
     def snapshot(self) -> dict[str, Any]:
         return {

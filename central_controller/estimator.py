@@ -23,10 +23,10 @@ _FREE_FALL = 1.0  # m/s²: a smaller specific force does not tell where down is
 
 def filter_constants(config: ControllerConfig) -> np.ndarray:
     """What a tick takes of each source: its length [s], then the shares of the accelerometer's correction, of the
-    feet's correction of yaw, and of a new joint velocity."""
+    feet's correction of yaw, of a new joint velocity and of a new internal force."""
     dt = 1.0 / config.rate
-    blend = 1.0 - math.exp(-2.0 * math.pi * config.velocity_cutoff * dt)
-    return np.array([dt, dt / config.orientation_time_constant, dt / _YAW_TIME_CONSTANT, blend])
+    blends = (-math.expm1(-2.0 * math.pi * f * dt) for f in (config.velocity_cutoff, config.internal_force.cutoff))
+    return np.array([dt, dt / config.orientation_time_constant, dt / _YAW_TIME_CONSTANT, *blends])
 
 
 def turned(quaternion: ca.SX, rate: ca.SX, force: ca.SX, constants: ca.SX) -> ca.SX:

@@ -21,16 +21,16 @@ from central_controller.tasks import feedback
 from central_controller.wbosc import whole_body_control
 
 # What a tick leaves for the next: orientation, filtered joint velocities, integrals of the feedback, heading of the
-# line between the feet.
+# line between the feet, filtered internal force.
 ORIENTATION = slice(0, 4)
 
 
 def memory_size(joints: int) -> int:
-    return 4 + joints + 4 + 1
+    return 4 + joints + 4 + 1 + 1
 
 
 def _split_memory(memory: ca.SX, joints: int) -> list[ca.SX]:
-    return ca.vertsplit(memory, [0, 4, 4 + joints, 8 + joints, 9 + joints])
+    return ca.vertsplit(memory, [0, 4, 4 + joints, 8 + joints, 9 + joints, 10 + joints])
 
 
 def _measured(counts: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
@@ -47,8 +47,8 @@ def predict(joints: int) -> ca.Function:
     Outputs: q, v."""
     counts = ca.SX.sym("counts", joints, 3)
     gyro, zero, force = (ca.SX.sym(name, 3) for name in ("gyro", "zero", "force"))
-    memory, filters = ca.SX.sym("memory", memory_size(joints)), ca.SX.sym("filters", 4)
-    quaternion, filtered, _, _ = _split_memory(memory, joints)
+    memory, filters = ca.SX.sym("memory", memory_size(joints)), ca.SX.sym("filters", 5)
+    quaternion, filtered, *_ = _split_memory(memory, joints)
     position, velocity, _ = _measured(counts)
     rate = gyro - zero
     filtered += filters[3] * (velocity - filtered)
@@ -65,9 +65,9 @@ def predict(joints: int) -> ca.Function:
 
 def control(model: RobotModel) -> ca.Function:
     """Inputs: counts (joints, 3), q, v, pinocchio's results (RobotModel.sources), memory, start (CoM x, z where the
-    reference began), schedule (1: reference at rest from ``start``, 0: where the robot is; 1: integrate; share of the
-    torque; time on the path [s]), gains, path, filters (see the functions that make them), internal_force (reference
-    [N], K_F).
+    reference began), held (torques [N m] that those of the law take over from), schedule (1: reference at rest from
+    ``start``, 0: where the robot is; 1: integrate, and feed the internal force back; share of the law's torque; time on
+    the path [s]), gains, path, filters (see the functions that make them), internal_force (reference [N], K_F).
 
     Outputs: telemetry (15 + 4 joints: all but the node's own), memory_next.
     """
@@ -79,15 +79,16 @@ def control(model: RobotModel) -> ca.Function:
         **model.symbols(),
         "memory": ca.SX.sym("memory", memory_size(joints)),
         "start": ca.SX.sym("start", 2),
+        "held": ca.SX.sym("held", joints),
         "schedule": ca.SX.sym("schedule", 4),
         "gains": ca.SX.sym("gains", 3, 4),
         "path": ca.SX.sym("path", 3),
-        "filters": ca.SX.sym("filters", 4),
+        "filters": ca.SX.sym("filters", 5),
         "internal_force": ca.SX.sym("internal_force", 2),
     }
     quaternion, v = inputs["q"][3:7], inputs["v"]
     position, _, sensed = _measured(inputs["counts"])
-    _, _, integral, heading = _split_memory(inputs["memory"], joints)
+    _, _, integral, heading, felt_force = _split_memory(inputs["memory"], joints)
     running, integrate, share, path_time = ca.vertsplit(inputs["schedule"])
     wanted_force, force_gain = ca.vertsplit(inputs["internal_force"])
     terms = model.terms(inputs, quaternion, v[3:6])
@@ -106,16 +107,21 @@ def control(model: RobotModel) -> ca.Function:
     reference = ca.if_else(running, moving, resting)
     u, integral = feedback(inputs["gains"], reference, value, velocity, integral, integrate)
 
+    # Feedback of the internal force (5.2), low-passed: it acts on torques at once, so that without a filter the drives'
+    # lag sets its margin. What is sensed holds once the feet carry the robot: until then it is fed forward alone (5.1),
+    # or what feedback adds to a share of the weight leaves the friction cone.
+    demanded_force = wanted_force + integrate * force_gain * (wanted_force - felt_force)
     line = terms.feet[:, 0] - terms.feet[:, 1]
     torque, _, internal = whole_body_control(2, 4)(
         terms.A, terms.h, terms.Js, terms.Jsdot_dq, terms.Jt, terms.Jtdot_dq, u,
-        line / ca.sqrt(ca.dot(line, line)), wanted_force, force_gain, sensed,
+        line / ca.sqrt(ca.dot(line, line)), demanded_force, sensed,
     )  # fmt: skip
+    felt_force += inputs["filters"][4] * (internal - felt_force)
     telemetry = ca.vertcat(
         com, com_velocity, reference[0, :2].T, terms.rpy, reference[0, 3], reference[0, 2], internal, wanted_force,
-        share * torque, sensed, position, v[6:],
+        inputs["held"] + share * (torque - inputs["held"]), sensed, position, v[6:],
     )  # fmt: skip
-    memory = ca.vertcat(orientation, v[6:], integral, heading)
+    memory = ca.vertcat(orientation, v[6:], integral, heading, felt_force)
     return ca.Function(
         "controller_control",
         list(inputs.values()),

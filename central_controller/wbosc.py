@@ -7,9 +7,9 @@ N = I − J̄ J (2.8), Γ = J_t A⁻¹ Nᵀ Uᵀ and M = U A⁻¹ Nᵀ Uᵀ, the
 
 In double support M is singular: forces d = [x̂; −x̂] along the line between the feet move nothing, so v = U Jᵀ d spans
 its null space (2.12), and M⁺ Γᵀ = (M + c v vᵀ)⁻¹ Γᵀ for any c > 0. Torque α v changes the internal force
-F_int = W_int F_r = dᵀ F_r (5.4)–(5.7) by exactly 2 α, and nothing else: (2.18) and (5.2) become
+F_int = W_int F_r = dᵀ F_r (5.4)–(5.7) by exactly 2 α, and nothing else: (2.18) becomes
 
-    α = ½ (F_ref − dᵀ F_r(τ_task) + K_F (F_ref − F_act)),    F_act = dᵀ F_r(τ_sensor)               (5.2), (5.3)
+    α = ½ (F_int,ref − dᵀ F_r(τ_task)),    and the sensed internal force is    F_act = dᵀ F_r(τ_sensor)            (5.3)
 
 F_r = J̄ᵀ (Uᵀ τ − h) + Λ_s J̇ q̇ (2.5) is the force of the robot on the environment. All products with A⁻¹ come from one
 Cholesky factorisation: with X = L⁻¹ [Jᵀ Uᵀ h J_tᵀ], every one of them is a block of Xᵀ X.
@@ -63,16 +63,15 @@ def whole_body_control(contacts: int, tasks: int) -> ca.Function:
     """The control law for ``contacts`` point feet (1 or 2) and ``tasks`` task coordinates.
 
     Inputs: A (12, 12), h (12), J (3 contacts, 12), Jdot_dq, Jt (tasks, 12), Jtdot_dq, u (tasks); with two contacts
-    also line (3: x̂, unit vector from left to right foot), reference (F_int), gain (K_F; 0: no feedback (5.1)),
-    sensed (6 joint torques). Outputs: torque (6), reaction F_r (3 contacts); with two contacts also internal, the
-    sensed internal force (5.3).
+    also line (3: x̂, unit vector from left to right foot), reference (F_int,ref), sensed (6 joint torques).
+    Outputs: torque (6), reaction F_r (3 contacts); with two contacts also internal, the sensed internal force (5.3).
     """
     a, h = ca.SX.sym("A", DOFS, DOFS), ca.SX.sym("h", DOFS)
     jacobian, bias = ca.SX.sym("J", 3 * contacts, DOFS), ca.SX.sym("Jdot_dq", 3 * contacts)
     task, task_bias = ca.SX.sym("Jt", tasks, DOFS), ca.SX.sym("Jtdot_dq", tasks)
     u = ca.SX.sym("u", tasks)
     line, reference = ca.SX.sym("line", 3), ca.SX.sym("reference")
-    gain, sensed = ca.SX.sym("gain"), ca.SX.sym("sensed", JOINTS)
+    sensed = ca.SX.sym("sensed", JOINTS)
 
     # products with A⁻¹
     selection = ca.vertcat(ca.SX(DOFS - JOINTS, JOINTS), ca.SX.eye(JOINTS))  # Uᵀ
@@ -108,13 +107,11 @@ def whole_body_control(contacts: int, tasks: int) -> ca.Function:
     if contacts == 1:
         return ca.Function("wbosc_single", inputs, [torque, reaction(torque)], names, ["torque", "reaction"])
     internal = ca.dot(direction, reaction(sensed))
-    predicted = ca.dot(direction, reaction(torque))
-    alpha = (reference - predicted + gain * (reference - internal)) / 2
-    torque = torque + alpha * null
+    torque = torque + (reference - ca.dot(direction, reaction(torque))) / 2 * null
     return ca.Function(
         "wbosc_double",
-        [*inputs, line, reference, gain, sensed],
+        [*inputs, line, reference, sensed],
         [torque, reaction(torque), internal],
-        [*names, "line", "reference", "gain", "sensed"],
+        [*names, "line", "reference", "sensed"],
         ["torque", "reaction", "internal"],
     )

@@ -122,7 +122,8 @@ def start_up(repeats: int = 3) -> float:
     times = []
     for _ in range(repeats):
         with tempfile.TemporaryDirectory() as directory:
-            command = [sys.executable, "-m", "hil", "run", SCENARIO, "--duration", "0.05s", "--json", "--out", directory]
+            launch = [sys.executable, "-m", "hil", "run", SCENARIO]
+            command = [*launch, "--duration", "0.05s", "--json", "--out", directory]
             result = subprocess.run(command, capture_output=True, text=True, check=False)
             times.append(json.loads(result.stdout)["start_up_time"])
     return statistics.median(times)

@@ -13,6 +13,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from hil.arguments import natural
 from hil.errors import UserError
 
 if TYPE_CHECKING:
@@ -33,7 +34,7 @@ def add_parser(subcommands: Any) -> None:
         "--set", action="append", default=[], metavar="KEY=VALUE", dest="settings",
         help="a fault from the start, e.g. bus.NAME.loss=0.01 (`hil inject --list`); repeatable",
     )  # fmt: skip
-    up.add_argument("--seed", type=_natural, default=0, metavar="N", help="of the faults' random numbers (0)")
+    up.add_argument("--seed", type=natural, default=0, metavar="N", help="of the faults' random numbers (0)")
     up.add_argument("--log", type=Path, metavar="DIR", help="where to write (default: under XDG_STATE_HOME)")
     up.add_argument("--no-log", action="store_true", help="write nothing")
     up.add_argument("--foreground", action="store_true", help="stay, for a supervisor or a container")
@@ -59,12 +60,6 @@ def _name(text: str) -> str:
     if not re.fullmatch(r"[A-Za-z0-9][\w.-]{0,31}", text, re.ASCII):
         raise argparse.ArgumentTypeError(f"{text!r}: expected 1 to 32 letters, digits, _ - or .")
     return text
-
-
-def _natural(text: str) -> int:
-    if not (text.isascii() and text.isdigit() and len(text) <= 20):
-        raise argparse.ArgumentTypeError(f"{text!r}: expected 0, 1, 2 …")
-    return int(text)
 
 
 def _bit_rate(text: str, fastest: int) -> float:

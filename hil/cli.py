@@ -22,6 +22,7 @@ from pathlib import Path  # noqa: E402
 from typing import Any, NoReturn  # noqa: E402
 
 from hil import bus_command, joint_command  # noqa: E402
+from hil.arguments import natural  # noqa: E402
 from hil.errors import EXIT_EMULATION, EmulationError, HilError, UserError  # noqa: E402
 
 
@@ -58,7 +59,7 @@ def _parser() -> argparse.ArgumentParser:
 
     run = commands.add_parser("run", help="run a scenario to its verdict")
     run.add_argument("scenario", metavar="SCENARIO", help="a built-in scenario or the path of a .toml file")
-    run.add_argument("--seed", type=_natural, default=0, metavar="N", help="of all random numbers (0)")
+    run.add_argument("--seed", type=natural, default=0, metavar="N", help="of all random numbers (0)")
     run.add_argument("--duration", metavar="S", help="simulated time, e.g. 5s")
     run.add_argument(
         "--backend", choices=("processes", "inline"), default="processes",
@@ -104,12 +105,6 @@ def _parser() -> argparse.ArgumentParser:
     bus_command.add_parser(commands)
     joint_command.add_parser(commands)
     return parser
-
-
-def _natural(text: str) -> int:
-    if not (text.isascii() and text.isdigit() and len(text) <= 20):
-        raise argparse.ArgumentTypeError(f"{text!r}: expected 0, 1, 2 …")
-    return int(text)
 
 
 def _endpoint(text: str) -> str:

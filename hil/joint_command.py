@@ -8,6 +8,7 @@ import math
 import signal
 from typing import TYPE_CHECKING, Any
 
+from hil.arguments import natural
 from hil.errors import EmulationError, UserError
 
 if TYPE_CHECKING:
@@ -36,6 +37,7 @@ def add_parser(commands: Any) -> None:
         "--set", action="append", default=[], metavar="KEY=VALUE", dest="settings",
         help="as in a scenario, e.g. firmware.watchdog=50ms; repeatable",
     )  # fmt: skip
+    joint.add_argument("--seed", type=natural, default=0, metavar="N", help="of the sensors' errors (0)")
     joint.add_argument("--duration", metavar="S", help="end after this time, e.g. 5s")
     joint.add_argument("--realtime", action="store_true", help="ask for SCHED_FIFO")
     joint.add_argument("--json", action="store_true", help="print one JSON object at the end and nothing else")
@@ -91,14 +93,16 @@ def _load(text: str) -> Load:
 
 
 def _scenario(options: argparse.Namespace) -> Scenario:
-    """What of a scenario a joint alone has: the firmware, the actuator's friction and the physics' rate."""
+    """What of a scenario a joint alone has: firmware, sensors, the actuator's friction and the physics' rate."""
     from hil.scenario import load
     from robots.quantities import parse_quantity
 
-    allowed = ("firmware.", "world.friction_scale=", "world.rate=")
+    allowed = ("firmware.", "sensors.", "world.friction_scale=", "world.rate=")
     for setting in options.settings:
         if not setting.strip().startswith(allowed):
-            raise UserError(f"--set {setting}: a joint alone has firmware.…, world.friction_scale and world.rate")
+            raise UserError(
+                f"--set {setting}: a joint alone has firmware.…, sensors.…, world.friction_scale and world.rate"
+            )
     named = {setting.partition("=")[0].strip() for setting in options.settings}
     settings = [f"robot={options.robot}", *options.settings]
     if options.rate is not None:
@@ -139,6 +143,7 @@ def _joint(options: argparse.Namespace) -> int:
     from hil.backends.lifecycle import quiet_collector
     from hil.compiled import compile_function
     from hil.standalone.joint import StandaloneJoint, open_bus
+    from hil.streams import streams
     from joint_firmware.firmware import JointFirmware
     from plant.bench import Bench
     from robots import description
@@ -154,7 +159,10 @@ def _joint(options: argparse.Namespace) -> int:
     rate, physics = int(scenario.firmware.rate), scenario.world.rate
     firmware = JointFirmware(robot, index, scenario.firmware, compile_function)
     try:
-        bench = Bench(robot, index, load, physics, scenario.world.friction_scale, compile_function)
+        bench = Bench(
+            robot, index, load, physics, scenario.sensors, streams(options.seed), scenario.world.friction_scale,
+            compile_function,
+        )  # fmt: skip
     except ValueError as error:
         raise UserError(f"--load {options.load}: {error}") from None
     bus = open_bus(options.can)

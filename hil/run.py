@@ -83,8 +83,9 @@ def assemble(request: Request, wrap: Callable[[str, Any], Any] = lambda _, node:
     random = streams(request.seed)
     with Family() as family:
         if request.clock == "wall":
-            clock: VirtualClock | WallClock = WallClock(round(1e9 / scenario.firmware.rate))
-            clock.request_priority()  # before the children are forked: they inherit it
+            wall = WallClock(round(1e9 / scenario.firmware.rate))
+            wall.request_priority()  # before the children are forked: they inherit it
+            clock: VirtualClock | WallClock = wall
         else:
             clock = VirtualClock()
 
@@ -160,7 +161,9 @@ def assemble(request: Request, wrap: Callable[[str, Any], Any] = lambda _, node:
                 controller.close()
 
 
-def run(request: Request, progress: Progress | None = None, prepare: Callable[[Assembly], None] | None = None) -> Outcome:
+def run(
+    request: Request, progress: Progress | None = None, prepare: Callable[[Assembly], None] | None = None
+) -> Outcome:
     """Run to the end, to a fall, or to a signal; write the record. Raises HilError when it could not start."""
     scenario = request.scenario
     end_ns = round(scenario.duration * 1e9)

@@ -33,10 +33,10 @@ class FirmwareConfig(Config):
     quick_stop_time: Seconds = 0.5  # damped for this long, then fault
     quick_stop_damping: TorquePerRate = 30.0
     velocity_cutoff: Hertz = 200.0  # first-order filter of differenced encoders
-    stance: TorqueGains = TorqueGains(kp=1.0, ki=0.0, kd="5 N m s/rad")  # type: ignore[arg-type]
-    swing: TorqueGains = TorqueGains(kp=2.0, ki=10.0, kd="5 N m s/rad")  # type: ignore[arg-type]
+    stance: TorqueGains = TorqueGains(kp=3.0, ki=0.0, kd="10 N m s/rad")  # type: ignore[arg-type]
+    swing: TorqueGains = TorqueGains(kp=4.0, ki=20.0, kd="10 N m s/rad")  # type: ignore[arg-type]
     torque_limit: NewtonMetres = 150.0
     torque_rate: TorqueRate = 20000.0
-    position_stiffness: TorquePerRadian = 300.0  # of cyclic synchronous position, around the torque loop
+    position_stiffness: TorquePerRadian = 300.0  # of the motor in cyclic synchronous position, around the torque loop
     position_damping: TorquePerRate = 10.0
     soft_stop_stiffness: Gain = 200.0  # N m/rad beyond a joint limit

@@ -90,11 +90,13 @@ def control_law() -> ca.Function:
     motor_velocity = x[MOTOR_VELOCITY] + started * blend * ((theta - x[THETA]) / dt - x[MOTOR_VELOCITY])
     velocity = x[VELOCITY] + started * blend * ((position - x[POSITION]) / dt - x[VELOCITY])
 
-    # reference: commanded torque or joint position, within limits of size and rate
+    # reference: commanded torque or position, within limits of size and rate. Position is that of the motor: fed back
+    # from where the torque acts, it is damped whatever the spring carries (Kim 2018 §5.4.1); fed back from a light
+    # joint behind the spring, it oscillates as soon as friction does not hold it.
     wanted = u[U_TORQUE_MODE] * u[U_TORQUE] + u[U_POSITION_MODE] * (
         u[U_TORQUE]
-        + position_stiffness * (u[U_POSITION] - position)
-        + position_damping * (u[U_VELOCITY] - velocity)
+        + position_stiffness * (u[U_POSITION] - theta)
+        + position_damping * (u[U_VELOCITY] - motor_velocity)
     )
     overshoot = ca.fmax(position - high, 0) + ca.fmin(position - low, 0)
     wanted = wanted - stop_stiffness * overshoot

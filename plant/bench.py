@@ -9,6 +9,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from plant.config import SensorConfig
 from plant.sea import SeriesElasticActuators
 from plant.sensors import JointSensors
 from robots import pins
@@ -72,6 +73,8 @@ class Bench:
         joint_index: int,
         load: Load,
         rate: float,
+        sensors: SensorConfig,
+        streams: Callable[[str], Any],
         friction_scale: float = 1.0,
         compile: Callable[[ca.Function], ca.Function] = _identity,
     ) -> None:
@@ -92,7 +95,7 @@ class Bench:
         self._q, self._dq = np.array([load.at]), np.zeros(1)
         self._actuator = SeriesElasticActuators(alone, self._dt, friction_scale, compile)
         self._actuator.place(self._q)
-        self._sensors = JointSensors(alone)
+        self._sensors = JointSensors(alone, sensors, streams)
         self._limit = joint.actuator.current_limit
         self._no_feet = np.zeros(0)
         self._inputs = np.zeros((1, pins.N_INPUTS), np.int32)
@@ -139,10 +142,12 @@ class Bench:
         return {
             "load": (self._q.copy(), self._dq.copy()),
             "actuator": self._actuator.snapshot(),
+            "sensors": self._sensors.snapshot(),
             "pins": (self._inputs.copy(), self._outputs.copy()),
         }
 
     def restore(self, state: dict[str, Any]) -> None:
         self._q[:], self._dq[:] = state["load"]
         self._actuator.restore(state["actuator"])
+        self._sensors.restore(state["sensors"])
         self._inputs[:], self._outputs[:] = state["pins"]

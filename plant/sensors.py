@@ -19,7 +19,14 @@ FOOT_SWITCH_FORCE = 5.0  # N that close a foot's switch
 class JointSensors:
     """Encoders, current and supply of all drives, as integers on their pins."""
 
-    def __init__(self, robot: Robot) -> None:
+    def __init__(self, robot: Robot, config: SensorConfig, streams: Callable[[str], Any]) -> None:
+        n, sensors = len(robot.joints), [joint.sensor for joint in robot.joints]
+        bias = streams("plant.joints.bias").normal(2 * n)
+        torque_bias = config.bias * bias[:n] * [sensor.torque_bias for sensor in sensors]
+        self._spring_bias = torque_bias / [sensor.torque_resolution for sensor in sensors]  # counts
+        self._current_bias = config.bias * bias[n:] * [sensor.current_bias for sensor in sensors]
+        self._current_noise = config.noise * np.array([sensor.current_noise for sensor in sensors])
+        self._noise = streams("plant.joints.noise")
         self._encoder = np.array([joint.sensor.encoder for joint in robot.joints])
         self._spring = np.array([joint.spring_counts_per_rad for joint in robot.joints])
         self._constant = np.zeros(len(robot.joints), np.int32)
@@ -30,12 +37,19 @@ class JointSensors:
     ) -> None:
         """Fill ``inputs`` (n, N_INPUTS) int32 from rotor and joint angles, currents, foot loads [SI]."""
         inputs[:, pins.MOTOR_ENCODER] = np.rint(self._encoder * theta)
-        inputs[:, pins.SPRING_ENCODER] = np.rint(self._spring * (theta - q))
-        inputs[:, pins.CURRENT_ADC] = np.rint(current / pins.AMPERE_PER_COUNT)
+        inputs[:, pins.SPRING_ENCODER] = np.rint(self._spring * (theta - q) + self._spring_bias)
+        sensed = current + self._current_bias + self._current_noise * self._noise.normal(len(theta))
+        inputs[:, pins.CURRENT_ADC] = np.rint(sensed / pins.AMPERE_PER_COUNT)
         inputs[:, pins.TEMPERATURE_ADC] = round(AMBIENT / pins.KELVIN_PER_COUNT)
         inputs[:, pins.SUPPLY_ADC] = round(SUPPLY / pins.VOLT_PER_COUNT)
         for knee, load in zip(self._knees, loads, strict=True):
             inputs[knee, pins.SWITCHES] = pins.FOOT_SWITCH if load > FOOT_SWITCH_FORCE else 0
+
+    def snapshot(self) -> Any:
+        return self._noise.snapshot()
+
+    def restore(self, state: Any) -> None:
+        self._noise.restore(state)
 
 
 class ImuSensor:

@@ -69,7 +69,7 @@ class World:
         self._sensed = self.data.sensordata
         self._actuators = SeriesElasticActuators(robot, self._dt, config.friction_scale, compile)
         self._actuators.place(self._q)
-        self._joint_sensors = JointSensors(robot)
+        self._joint_sensors = JointSensors(robot, sensors, streams)
         self._imu = ImuSensor(robot, sensors, imu_rate, streams)
         self.pins_in = np.zeros((n, pins.N_INPUTS), np.int32)
         self.pins_out = np.zeros((n, pins.N_OUTPUTS), np.int32)
@@ -215,6 +215,7 @@ class World:
             "sensed": self._sensed.copy(),
             "steps": self._steps,
             "actuators": self._actuators.snapshot(),
+            "joint_sensors": self._joint_sensors.snapshot(),
             "imu": self._imu.snapshot(),
             "pins": (self.pins_in.copy(), self.pins_out.copy()),
         }
@@ -225,5 +226,6 @@ class World:
         self._sensed[:] = state["sensed"]  # forces and accelerations belong to the step before
         self._steps = state["steps"]
         self._actuators.restore(state["actuators"])
+        self._joint_sensors.restore(state["joint_sensors"])
         self._imu.restore(state["imu"])
         self.pins_in[:], self.pins_out[:] = state["pins"]

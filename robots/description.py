@@ -63,6 +63,9 @@ class Actuator(Config):
 class JointSensor(Config):
     encoder: float  # motor encoder, counts per rad of the joint, signed
     torque_resolution: float  # N m per count of the spring encoder, signed
+    torque_bias: NonNegative = 0.0  # N m, 1σ, of the spring encoder's zero
+    current_bias: NonNegative = 0.0  # A, 1σ, of the current sensor's zero
+    current_noise: NonNegative = 0.0  # A, 1σ per sample
 
 
 class Joint(Config):

@@ -11,7 +11,7 @@ from central_controller.config import ControllerConfig
 from central_controller.estimator import Hanging, filter_constants, turned, yaw_corrected
 from central_controller.rotations import compose, exponential, rotation_matrix
 
-_A, _B, _R, _F, _C = (ca.SX.sym(name, size) for name, size in (("a", 4), ("b", 4), ("r", 3), ("f", 3), ("c", 4)))
+_A, _B, _R, _F, _C = (ca.SX.sym(name, size) for name, size in (("a", 4), ("b", 4), ("r", 3), ("f", 3), ("c", 5)))
 MATRIX = ca.Function("matrix", [_A], [rotation_matrix(_A)])
 COMPOSE = ca.Function("compose", [_A, _B], [compose(_A, _B)])
 EXPONENTIAL = ca.Function("exponential", [_R], [exponential(_R)])

@@ -126,7 +126,7 @@ class Rig:
 
 
 def config(**changes: Any) -> ControllerConfig:
-    return ControllerConfig(**{"enable_at": "0.4s", "weight_ramp": "0.2s", **changes})
+    return ControllerConfig(**{"stand_at": "0.4s", "weight_ramp": "0.2s", **changes})
 
 
 def setpoints(sent: list[tuple[int, int, bytes]]) -> list[messages.Setpoint]:
@@ -161,7 +161,7 @@ def test_silence_and_malformed_payloads_leave_the_drives_off(upright) -> None:
 
 
 def test_drives_are_walked_up_one_state_at_a_time_and_the_torque_grows(upright) -> None:
-    rig, words, growth = Rig(config(), upright), [], []
+    rig, words, modes, growth = Rig(config(), upright), [], [], []
     while rig.field("phase") != Phase.ON:
         rig.step()
         points = setpoints(rig.sent)
@@ -169,17 +169,19 @@ def test_drives_are_walked_up_one_state_at_a_time_and_the_torque_grows(upright) 
         assert all(p.state_counter == rig.counter for p in points)
         assert all(p.gain_set == GainSet.STANCE for p in points)
         if words[-1] != Controlword.DISABLE_VOLTAGE:
-            assert all(p.mode == Mode.TORQUE for p in points)
+            modes.append(points[0].mode)
+            assert all(p.mode == modes[-1] for p in points)
             assert [p.position for p in points] == pytest.approx(list(upright[7:]), abs=1e-6)
         growth.append(np.abs([p.torque for p in points]).max())
     assert list(dict.fromkeys(words)) == [
-        Controlword.DISABLE_VOLTAGE,
         Controlword.SHUTDOWN,
         Controlword.SWITCH_ON,
         Controlword.ENABLE_OPERATION,
     ]
-    first = words.index(Controlword.SHUTDOWN)
-    assert first * TICK_NS * 1e-9 == pytest.approx(0.4, abs=0.002) and max(growth[: first + 3]) == 0.0
+    assert list(dict.fromkeys(modes)) == [Mode.POSITION, Mode.TORQUE]  # held where they were, until it stands
+    standing = next(i for i, torque in enumerate(growth) if torque > 0.0)
+    assert standing * TICK_NS * 1e-9 == pytest.approx(0.4, abs=0.002)
+    assert words.index(Controlword.ENABLE_OPERATION) < 5
     ramp = growth[-300:]  # ticks in the ramp's 0.2 s
     assert ramp[149] / ramp[299] == pytest.approx(0.5, abs=0.02)
 
@@ -243,7 +245,7 @@ def test_the_tick_is_the_control_law_at_the_estimated_state(upright) -> None:
     rig.run(0.02)
     rig.report()
     controller, model = rig.controller, RobotModel(ROBOT)
-    integral = controller._memory[10:14].copy()
+    integral, felt_force = controller._memory[10:14].copy(), controller._memory[15]
     controller.tick(rig.now + 270_000)
     q, v = controller._q.copy(), controller._v.copy()
     model.update(q, v)
@@ -260,11 +262,16 @@ def test_the_tick_is_the_control_law_at_the_estimated_state(upright) -> None:
     line = model.feet[0] - model.feet[1]
     out = whole_body_control(2, 4)(
         model.A, model.h, model.Js, model.Jsdot_dq, model.Jt, model.Jtdot_dq, u, line / np.linalg.norm(line),
-        100.0, 3.0, rig.fields(*(f"torque_sensed.{j}" for j in ROBOT.joint_names)),
+        100.0 + 3.0 * (100.0 - felt_force), rig.fields(*(f"torque_sensed.{j}" for j in ROBOT.joint_names)),
     )  # fmt: skip
     torque = np.array(rig.fields(*(f"torque_command.{j}" for j in ROBOT.joint_names)))
     assert torque == pytest.approx(np.array(out[0]).ravel(), rel=1e-8, abs=1e-8)
-    assert rig.field("internal_force") == pytest.approx(float(out[2]), rel=1e-8)
+    internal = float(out[2])
+    assert rig.field("internal_force") == pytest.approx(internal, rel=1e-8)
+    # (5.2): what is fed back is the sensed force behind a first-order low-pass of 5 Hz
+    blend = 1.0 - np.exp(-2.0 * np.pi * 5.0 / 1500.0)
+    assert felt_force != internal
+    assert controller._memory[15] == pytest.approx(felt_force + blend * (internal - felt_force), rel=1e-12)
 
 
 def test_compiled_and_interpreted_controllers_are_the_same_to_the_bit(upright) -> None:

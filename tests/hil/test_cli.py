@@ -143,7 +143,7 @@ def test_json_is_one_object_with_what_a_machine_needs(tmp_path: Path) -> None:
         "--set",
         "world.hoist.hold=0.2s",
         "--set",
-        "controller.enable_at=0.1s",
+        "controller.stand_at=0.1s",
     ]
     command = [sys.executable, "-m", "hil", "run", "split-terrain", "--backend", "inline", "--duration", "1", "--json",
                "--seed", "7", "--out", str(out), *settled, "--set", "world.hoist.release=0.2s"]  # fmt: skip

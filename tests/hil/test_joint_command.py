@@ -18,9 +18,11 @@ from bus import messages
 from bus.messages import Controlword, Statusword
 from hil.cli import main
 from hil.standalone.joint import StandaloneJoint, open_bus
+from hil.streams import streams
 from joint_firmware.config import FirmwareConfig
 from joint_firmware.firmware import JointFirmware
 from plant.bench import Bench, Locked
+from plant.config import SensorConfig
 from robots import description, pins
 
 HUME = description.load("hume")
@@ -28,6 +30,7 @@ HUME = description.load("hume")
 # A loaded machine may keep both ends from running for longer than a real controller would be silent.
 PATIENT = ("--set", "firmware.watchdog=60s")
 FRICTIONLESS = ("--set", "world.friction_scale=0")
+PERFECT = ("--set", "sensors.noise=0", "--set", "sensors.bias=0")
 
 
 @pytest.fixture
@@ -62,7 +65,7 @@ def test_a_drive_is_walked_through_its_states_and_its_torque_settles_where_it_wa
     name, _ = lab
     with (
         can.Bus(interface="hil", channel=name, fd=True) as bus,
-        joint(name, tmp_path, "--node", "6", "--load", "locked", *FRICTIONLESS) as process,
+        joint(name, tmp_path, "--node", "6", "--load", "locked", *FRICTIONLESS, *PERFECT) as process,
     ):
         master = Master(bus, "left_knee")
         assert master.enable() == [
@@ -106,7 +109,7 @@ def test_a_pendulum_without_power_swings_until_it_hangs(lab: tuple[str, int], tm
     load = "pendulum,mass=4kg,length=0.5m,damping=3Nms/rad,at=0.8rad"
     with (
         can.Bus(interface="hil", channel=name, fd=True) as bus,
-        joint(name, tmp_path, "--joint", "left_hip", "--load", load, *FRICTIONLESS),
+        joint(name, tmp_path, "--joint", "left_hip", "--load", load, *FRICTIONLESS, *PERFECT),
     ):
         master = Master(bus, "left_hip")
         first = master.hear()
@@ -145,7 +148,7 @@ def test_it_speaks_on_any_python_can_bus() -> None:
     """python-can's own virtual bus, which is for one process: the joint is a thread of this one."""
     channel = unique("lab")
     config = FirmwareConfig(watchdog="60s")
-    bench = Bench(HUME, 5, Locked(), config.rate)
+    bench = Bench(HUME, 5, Locked(), config.rate, SensorConfig(), streams(0))
     with can.Bus(interface="virtual", channel=channel) as bus, open_bus(f"virtual:{channel}") as its_bus:
         node = StandaloneJoint(JointFirmware(HUME, 5, config), bench, its_bus, int(config.rate), 1)
         thread = threading.Thread(target=node.run, args=(None,))
@@ -203,7 +206,7 @@ MISTAKES: dict[tuple[str, ...], str] = {
     "at most 1 MHz",
     ("--node", "3", "--duration", "0s"): "--duration 0s: expected more than 0 s",
     ("--node", "3", "--set", "link.command.delay=3ms"): "--set link.command.delay=3ms: a joint alone has firmware.…, "
-    "world.friction_scale and world.rate",
+    "sensors.…, world.friction_scale and world.rate",
     ("--node", "3", "--set", "firmware.watchdg=3ms"): "unknown key 'firmware.watchdg'; "
     "did you mean 'firmware.watchdog'?",
     ("--node", "3", "--can", "lab"): "--can lab: expected INTERFACE:CHANNEL, for example hil:lab or socketcan:can0",

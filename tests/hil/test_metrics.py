@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from bus.messages import Statusword
@@ -286,7 +286,7 @@ def pushed(t: np.ndarray, force: float, ramp: float = 1.0) -> np.ndarray:
     return force * np.clip(np.minimum((t - 2.0) / ramp, (6.0 - t) / ramp), 0.0, 1.0)
 
 
-@settings(deadline=None)  # the first call imports SciPy
+
 @given(st.floats(100, 5000), st.floats(10, 100), st.sampled_from([1, -1]), st.floats(-0.02, 0.02))
 def test_the_stiffness_of_a_spring_is_found(stiffness: float, force: float, sign: int, offset: float) -> None:
     t = np.arange(0.0, 8.0, 1 / RATE)

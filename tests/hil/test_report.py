@@ -21,7 +21,7 @@ from hil.signals import Signals
 
 SETTINGS = [
     "duration=1.2s", "limits.settle=0.9s", "world.hoist.hold=0.2s", "world.hoist.release=0.2s",
-    "controller.enable_at=0.1s", "bus.left_leg.bit_error_rate=1e-4", "link.state.jitter=20us",
+    "controller.stand_at=0.1s", "bus.left_leg.bit_error_rate=1e-4", "link.state.jitter=20us",
     "push=[{at='1s', duration='0.1s', force=['-5N', '0N', '0N']}]",
     "inject=[{at='1s', key='link.command.delay', value='1ms'}]", "description=<b>soft</b> & stiff",
 ]  # fmt: skip

@@ -21,7 +21,7 @@ from hil.scenario import load
 # noise, jitter, loss and bit errors on, and long enough for the drives to be enabled and the hoist to let go
 ROUGH = [
     "duration=1.3s", "limits.settle=1.2s", "world.hoist.hold=0.3s", "world.hoist.release=0.2s",
-    "controller.enable_at=0.1s", "link.state.jitter=50us", "link.command.loss=0.01", "bus.left_leg.jitter=20us",
+    "controller.stand_at=0.1s", "link.state.jitter=50us", "link.command.loss=0.01", "bus.left_leg.jitter=20us",
     "bus.right_leg.bit_error_rate=1e-5",
 ]  # fmt: skip
 

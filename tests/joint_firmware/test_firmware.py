@@ -148,7 +148,7 @@ def test_an_active_limit_is_told(bench):
 
 def torque_in_force(drive):
     """The commanded torque that a drive follows, read from what it asks of its motor."""
-    return drive.motor_torque / 2.0  # (1 + kp) tau_d on a relaxed spring
+    return drive.motor_torque / (1.0 + drive.config.stance.kp)  # (1 + kp) tau_d on a relaxed spring
 
 
 @pytest.mark.parametrize("start", [1, 0x7FFF, 0xFFFE])
@@ -226,7 +226,7 @@ def test_a_drive_reads_its_own_slot(bench, joint):
 
 
 def test_the_gain_set_is_switched_by_command_and_without_a_bump(bench):
-    """Stance has kp 1 and no integral, swing kp 2 and ki 10 1/s."""
+    """Stance has kp 3 and no integral, swing kp 4 and ki 20 1/s."""
     drive = bench().enable()
 
     def demand(gain_set, ticks=1):
@@ -236,15 +236,15 @@ def test_the_gain_set_is_switched_by_command_and_without_a_bump(bench):
 
     drive.place(torque=10.0)
     stance = demand(GainSet.STANCE, 60)  # until the motor's velocity has passed the filter
-    assert stance == pytest.approx(14.0 + 4.0, abs=0.1)
+    assert stance == pytest.approx(14.0 + 3.0 * 4.0, abs=0.1)
     assert demand(GainSet.SWING) == stance
     grown = demand(GainSet.SWING, 300) - stance
-    assert grown == pytest.approx(10.0 * 4.0 * 0.1, abs=0.1)
+    assert grown == pytest.approx(20.0 * 4.0 * 0.1, abs=0.2)
     drive.place(torque=9.0)  # one newton metre more of error meets the new proportional gain
     swing = demand(GainSet.SWING, 60)
-    assert swing - stance - grown == pytest.approx(2.0 + 10.0 * 5.0 * 0.02, abs=0.2)
+    assert swing - stance - grown == pytest.approx(4.0 + 20.0 * 5.0 * 0.02, abs=0.4)
     assert demand(200) == pytest.approx(swing, abs=2 * drive.resolution)  # an unknown set is stance
-    assert demand(200, 300) == pytest.approx(14.0 + 5.0 + (swing - 19.0) * np.exp(-1.0), abs=0.2)
+    assert demand(200, 300) == pytest.approx(29.0 + (swing - 29.0) * np.exp(-1.0), abs=0.4)
 
 
 def test_position_mode_follows_position_and_velocity(bench):

@@ -94,7 +94,7 @@ class Reference:
         motor, limited = 0.0, False
         if mode in ("torque", "position"):
             motor, limited = self._closed(
-                mode, tau, q, dq, dtheta, torque, position, velocity, limit, kp, ki, kd
+                mode, tau, q, theta, dtheta, torque, position, velocity, limit, kp, ki, kd
             )
         else:
             self.running = None
@@ -103,10 +103,10 @@ class Reference:
         ampere = max(-HIP.actuator.current_limit, min(HIP.actuator.current_limit, motor / AMPERE))
         return [q / 1e-6, dq / 1e-5, tau / 1e-4, c[2], dtheta / 1e-3, ampere / pins.AMPERE_PER_COUNT], limited
 
-    def _closed(self, mode, tau, q, dq, dtheta, torque, position, velocity, limit, kp, ki, kd):
+    def _closed(self, mode, tau, q, theta, dtheta, torque, position, velocity, limit, kp, ki, kd):
         wanted = torque
         if mode == "position":
-            wanted += CONFIG.position_stiffness * (position - q) + CONFIG.position_damping * (velocity - dq)
+            wanted += CONFIG.position_stiffness * (position - theta) + CONFIG.position_damping * (velocity - dtheta)
         low, high = HIP.limits
         if q > high:
             wanted -= CONFIG.soft_stop_stiffness * (q - high)

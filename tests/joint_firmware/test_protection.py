@@ -30,7 +30,7 @@ def test_the_watchdog_trips_on_its_tick_and_not_one_before(bench):
     drive = bench().enable(torque=20.0)
     drive.run(WATCHDOG_TICKS - 1)
     assert drive.state is DriveState.OPERATION_ENABLED and not drive.emergencies
-    assert drive.motor_torque == pytest.approx(40.0, abs=drive.resolution)  # (1 + kp) tau_d, spring relaxed
+    assert drive.motor_torque == pytest.approx(80.0, abs=drive.resolution)  # (1 + kp) tau_d, spring relaxed
     drive.tick()
     assert drive.state is DriveState.QUICK_STOP_ACTIVE
     assert drive.emergencies == [(*WATCHDOG, bytes(5))]

@@ -4,11 +4,34 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from plant.bench import LOADS, Bench, Inertia, Locked, Pendulum
+from plant.bench import LOADS, Inertia, Locked, Pendulum
+from plant.bench import Bench as NoisyBench
+from plant.config import SensorConfig
 from robots import description, pins
 
 HUME = description.load("hume")
 RATE = 12000.0
+
+
+class Draw:
+    """A random stream whose state is its position."""
+
+    at = 0
+
+    def normal(self, n):
+        self.at += n
+        return np.sin(np.arange(self.at - n, self.at))
+
+    def snapshot(self):
+        return self.at
+
+    def restore(self, at):
+        self.at = at
+
+
+def Bench(robot, index, load, rate, **sensors):
+    """A bench, by default with perfect sensors."""
+    return NoisyBench(robot, index, load, rate, SensorConfig(**{"noise": 0, "bias": 0, **sensors}), lambda _: Draw())
 
 
 def smooth(joint="right_hip", **actuator):
@@ -121,7 +144,7 @@ def test_a_load_too_light_for_the_step_is_refused_and_the_lightest_is_stable():
 
 @pytest.mark.parametrize("kind", LOADS)
 def test_a_restored_bench_goes_on_as_the_first_did(kind):
-    bench = Bench(HUME, 2, LOADS[kind](), 3000.0)
+    bench = Bench(HUME, 2, LOADS[kind](), 3000.0, noise=1, bias=1)
 
     def go_on():
         rows = []

@@ -248,3 +248,26 @@ def test_origin_is_the_midpoint_of_the_feet_and_the_right_foot_is_in_front():
         right, left = truth[f"foot.right_foot.{axis}"], truth[f"foot.left_foot.{axis}"]
         assert right + left == pytest.approx(0.0, abs=1e-9)
         assert right - left == pytest.approx(apart, abs=1e-9)
+
+
+def test_sensors_of_the_joints_have_the_described_bias_and_noise():
+    """The spring's zero is off by a constant, the current by a constant and white noise; encoders only quantise."""
+    true, sensed = world(sensors=QUIET), [world(sensors=SensorConfig(), seed=seed) for seed in range(40)]
+    true.sample()
+    exact = true.pins_in.copy()
+    off = []
+    for node in sensed:
+        rows = []
+        for _ in range(60):
+            node.sample()
+            rows.append(node.pins_in - exact)
+        rows = np.array(rows, float)
+        assert not rows[:, :, [pins.MOTOR_ENCODER, pins.TEMPERATURE_ADC, pins.SUPPLY_ADC]].any()
+        assert not np.ptp(rows[:, :, pins.SPRING_ENCODER], axis=0).any()
+        off.append((rows[0, :, pins.SPRING_ENCODER], rows[:, :, pins.CURRENT_ADC].mean(0), rows.std(0)[:, 2]))
+    resolution = np.array([joint.sensor.torque_resolution for joint in ROBOT.joints])
+    torque, current, noise = (np.array(kind) for kind in zip(*off, strict=True))
+    # 240 draws: the deviation of a deviation is 1/sqrt(2 n), 5 %
+    assert (torque * resolution).std() == pytest.approx(0.2, rel=0.2)
+    assert (current * pins.AMPERE_PER_COUNT).std() == pytest.approx(0.1, rel=0.2)
+    assert (noise * pins.AMPERE_PER_COUNT).mean() == pytest.approx(0.05, rel=0.05)
