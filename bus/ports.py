@@ -160,8 +160,8 @@ class PortServer:
             client.give(record)
 
     def set_state(self, tec: int, rec: int, state: int) -> None:
-        """Error counters of the clients' controller, and whether it is error active (0), error passive (1) or off
-        the bus (2). Clients are told of a change at the next ``poll``."""
+        """``ControllerState`` of the controller that the clients share; they are told of a change at the next
+        ``poll``."""
         self._state = ControllerState(tec, rec, state)
 
     def close(self) -> None:

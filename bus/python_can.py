@@ -31,7 +31,7 @@ from bus.records import FLUSH, STOP, TASK_FRAMES, ControllerState, pack_note, pa
 from bus.shm_port import ShmPort
 
 _log = logging.getLogger("can.hil")
-_STATES = (can.BusState.ACTIVE, can.BusState.PASSIVE, can.BusState.ERROR)
+_STATES = (can.BusState.ACTIVE, can.BusState.ACTIVE, can.BusState.PASSIVE, can.BusState.ERROR)  # by can_state
 
 
 class BusTimeTask(LimitedDurationCyclicSendTaskABC, ModifiableCyclicTaskABC, RestartableCyclicTaskABC):
@@ -233,7 +233,7 @@ class HilBus(can.BusABC):
 
         May be set to PASSIVE: this port then only listens, until it is set to ACTIVE.
         """
-        state = _STATES[min(self._controller().state, 2)]
+        state = _STATES[min(self._controller().state, 3)]
         return can.BusState.PASSIVE if self._listen_only and state is can.BusState.ACTIVE else state
 
     @state.setter

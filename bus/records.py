@@ -45,7 +45,8 @@ class MalformedRecordError(ValueError):
 
 
 class ControllerState(NamedTuple):
-    """Error counters of a CAN controller, and 0 error active, 1 error passive, 2 bus off."""
+    """Error counters of a CAN controller, and its state by the kernel's ``enum can_state``: 0 error active, 1 warning,
+    2 error passive, 3 bus off."""
 
     tec: int
     rec: int

@@ -235,7 +235,7 @@ class System:
         while self.requests:  # filled by a thread of Zenoh's
             self.requests.popleft()()
         if self.tap is not None:
-            # MERGE wire states: self.tap.set_state(b, tec, rec, 0..2) of wire.ports_state(self._tool_port[b]), each b
+            # MERGE wire states: for each b, wire: self.tap.set_state(b, *wire.ports_state(self._tool_port[b]))
             for bus, frame in self.tap.poll():
                 if not self.wires[bus].offer(now, self._tool_port[bus], frame):
                     self.tap.refused(bus, frame)

@@ -1,4 +1,4 @@
-"""An emulated bus in a process of its own, in wall-clock time: a wire, and the server that lets programs attach."""
+"""Emulated buses: one that the test looks after, one in a process of its own in wall-clock time."""
 
 import multiprocessing
 import os
@@ -10,8 +10,10 @@ import pytest
 
 from bus.config import BusConfig
 from bus.ports import PortServer
+from bus.python_can import HilBus
 from bus.wire import Wire
 from hil.streams import streams
+from tests.support.ports import RUN, attached
 
 TOOLS = 1  # the wire's port for attached programs; port 0 acknowledges
 
@@ -32,6 +34,21 @@ def pump(run: str, channel: str, ready: Event, stop: Event) -> None:
                 server.refused(frame)
         time.sleep(100e-6)
     server.close()
+
+
+@pytest.fixture
+def server() -> Iterator[PortServer]:
+    """Of the bus CHANNEL, looked after by the test."""
+    server = PortServer("left_leg", run=RUN, endpoint="tcp/127.0.0.1:1")
+    yield server
+    server.close()
+
+
+@pytest.fixture
+def bus(server: PortServer) -> Iterator[HilBus]:
+    """A port on it."""
+    with attached(server) as bus:
+        yield bus
 
 
 @pytest.fixture(scope="module")

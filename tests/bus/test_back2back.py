@@ -306,3 +306,25 @@ class TestHil(Back2Back):
     @pytest.fixture
     def channel(self, lab: str) -> str:
         return lab
+
+    def test_senders_wait_for_the_bus_beside_a_notifier(self, bus: can.BusABC, other: can.BusABC) -> None:
+        """Whoever reads from the socket, everybody learns what is his: messages, and what became of frames."""
+        reader = can.BufferedReader()
+        with can.Notifier(bus, [reader], timeout=0.1):
+
+            def send(k: int) -> None:
+                for n in range(20):
+                    bus.send(can.Message(arbitration_id=k, data=[n]), timeout=self.TIMEOUT)
+
+            threads = [threading.Thread(target=send, args=(k,)) for k in range(4)]
+            for thread in threads:
+                thread.start()
+            for n in range(50):
+                other.send(can.Message(arbitration_id=0x99, data=[n]), timeout=self.TIMEOUT)
+            for thread in threads:
+                thread.join()
+            read = [reader.get_message(self.TIMEOUT) for _ in range(50)]
+        assert [m.data[0] for m in read if m is not None] == list(range(50))
+        heard = [self.receive(other) for _ in range(80)]
+        for k in range(4):
+            assert [m.data[0] for m in heard if m.arbitration_id == k] == list(range(20))

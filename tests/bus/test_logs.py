@@ -12,6 +12,7 @@ from typing import Any
 
 import can
 import pytest
+from cantools.logreader import Parser
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scapy.layers.can import CAN, CANFD
@@ -226,6 +227,15 @@ def test_python_can_reads_a_line_back(time_ns: int, frame: Frame | ErrorFrame) -
         assert as_frame(read) == frame
     elif frame.classes & 0x80:
         assert read.is_error_frame
+
+
+@pytest.mark.parametrize("body, kind", [
+    ("123#R4", "remote"), ("001##6AB", "data"), ("20000088#0000040800000809", None),
+])  # fmt: skip
+def test_cantools_reads_a_line(body: str, kind: str | None) -> None:
+    """It passes over error frames, and keeps no DLC of remote frames."""
+    read = Parser(io.StringIO()).parse(f"(1.000000023) left_leg {body}")
+    assert (read and ("remote" if read.is_remote_frame else "data")) == kind
 
 
 def test_can_utils_reads_a_log(tmp_path: Path) -> None:

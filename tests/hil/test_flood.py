@@ -52,17 +52,18 @@ def flooded(identifier: str, out: Path, start_ns: int = 0, duration: str = "1.6s
     process = None
 
     def attach(assembly: Assembly) -> None:
-        nonlocal process
         serve_run(assembly)
         tap = assembly.tap
         server = tap._servers[[wire.name for wire in assembly.system.wires].index("left_leg")]
-        process = subprocess.Popen([sys.executable, "-c", _FLOOD, f"{out.name}/left_leg", identifier],
-                                   stderr=subprocess.PIPE, text=True)  # fmt: skip
         poll = tap.poll
 
         def poll_when_there_is_more() -> list[tuple[int, Frame]]:
+            nonlocal process
             if assembly.system.now_ns < start_ns:
                 return []
+            if process is None:
+                process = subprocess.Popen([sys.executable, "-c", _FLOOD, f"{out.name}/left_leg", identifier],
+                                           stderr=subprocess.PIPE, text=True)  # fmt: skip
             deadline = time.monotonic() + 60
             while not server.clients or len(server._clients[0]._backlog) < IN_FLIGHT:
                 assert time.monotonic() < deadline and process.poll() is None
@@ -98,7 +99,7 @@ def test_the_lowest_priority_starves_nothing(out: Path, capsys: pytest.CaptureFi
     states = [key for key in before if key[0] & 0x780 == messages.STATE]
     assert len(states) == 3
     for key in (*states, (messages.COMMAND, False)):
-        assert after[key].frames == before[key].frames == 600
+        assert after[key].frames >= before[key].frames - 1 >= 598  # the last may be under way
         assert before[key].longest < after[key].longest <= before[key].longest + blocking
 
 
