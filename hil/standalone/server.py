@@ -109,9 +109,10 @@ class StandaloneBus:
         self.now_ns = due
         wire, ports = self._wire, self._ports
         deliveries = wire.advance(due)
-        for time_ns, sender, frame in deliveries:
+        for delivery in deliveries:
+            time_ns, frame = delivery.time, delivery.frame
             self.lateness.add(now - due)
-            ports.deliver(time_ns, sender, frame)
+            ports.deliver(time_ns, delivery.sender, frame)
             key = (frame.id, frame.extended)
             self._delivered[key] = self._delivered.get(key, 0) + 1
             if self.record is not None:
@@ -121,7 +122,7 @@ class StandaloneBus:
         # MERGE wire errors: tell wire.error_frames() and wire.ports_state(client.port) to the client of each port
         for client in tuple(self._busy_clients):
             if client.in_wire > wire.waiting(client.port):
-                client.completed(due, [frame for _, sender, frame in deliveries if sender == client.port])
+                client.completed(due, [delivery.frame for delivery in deliveries if delivery.sender == client.port])
                 self._serve(client, due)
 
     def _attend(self, ready: list[tuple[selectors.SelectorKey, int]]) -> None:
