@@ -167,6 +167,7 @@ def _serve(
         raise UserError(_taken(name)) from None
     record = None
     session = None
+    previous: dict[int, Any] = {}
     try:
         if directory is not None:  # only now: the log of a bus that is up already must not be touched
             try:
@@ -181,7 +182,7 @@ def _serve(
             bus.stop()
 
         for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-            signal.signal(number, end)
+            previous[number] = signal.signal(number, end)
         try:
             session = zenoh.open(session_config(endpoint, None))
         except zenoh.ZError as error:
@@ -198,14 +199,14 @@ def _serve(
         if record is not None:
             (record.directory / "status.json").write_text(json.dumps(bus.status(), indent=2), encoding="utf-8")
     finally:
-        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-            signal.signal(number, signal.SIG_IGN)
         bus.close()  # the clients first: they are told at once
         if record is not None:
             record.close()
         if session is not None:
             with contextlib.suppress(zenoh.ZError):
                 session.close()
+        for number, handler in previous.items():
+            signal.signal(number, handler)
 
 
 def _rates(about: dict[str, Any]) -> str:

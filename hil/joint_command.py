@@ -166,10 +166,11 @@ def _joint(options: argparse.Namespace) -> int:
     except ValueError as error:
         raise UserError(f"--load {options.load}: {error}") from None
     bus = open_bus(options.can)
+    previous: dict[int, Any] = {}
     try:
         node = StandaloneJoint(firmware, bench, bus, rate, int(physics) // rate)
         for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-            signal.signal(number, lambda *_: node.stop())
+            previous[number] = signal.signal(number, lambda *_: node.stop())
         if options.realtime:
             node.clock.request_priority()
         if not options.json:
@@ -184,6 +185,8 @@ def _joint(options: argparse.Namespace) -> int:
             raise EmulationError(f"--can {options.can}: {error}") from None
     finally:
         bus.shutdown()
+        for number, handler in previous.items():
+            signal.signal(number, handler)
     report = node.report()
     print(json.dumps(report)) if options.json else _print(report)
     return 0

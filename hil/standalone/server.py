@@ -78,8 +78,9 @@ class StandaloneBus:
 
     def stop(self) -> None:
         """Let ``serve`` return."""
-        self._stopped = True
-        os.eventfd_write(self.requests.bell, 1)
+        if not self._stopped:
+            self._stopped = True
+            os.eventfd_write(self.requests.bell, 1)
 
     def serve(self) -> None:
         """Run the bus."""
@@ -245,6 +246,7 @@ class StandaloneBus:
 
     def close(self) -> None:
         """Detach all clients and give up the name. Raises nothing."""
+        self._stopped = True
         self._selector.close()
         self._ports.close()
         os.close(self.requests.bell)

@@ -441,5 +441,7 @@ def test_a_wrong_name_is_answered_with_the_nearest(lab: tuple[str, int], capsys:
 def test_a_directory_that_cannot_be_written_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "file").touch()
     for how in ((), ("--foreground",)):
+        handlers = [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)]
         assert main(["bus", "up", unique("lab"), "--log", str(tmp_path / "file" / "logs"), *how]) == 2
+        assert [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)] == handlers
         assert f"{tmp_path / 'file' / 'logs'}" in capsys.readouterr().err
