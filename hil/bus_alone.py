@@ -205,8 +205,8 @@ def _serve(
         if session is not None:
             with contextlib.suppress(zenoh.ZError):
                 session.close()
-        for number, handler in previous.items():
-            signal.signal(number, handler)
+        for restored, handler in previous.items():
+            signal.signal(restored, handler)
 
 
 def _rates(about: dict[str, Any]) -> str:

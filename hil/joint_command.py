@@ -185,8 +185,8 @@ def _joint(options: argparse.Namespace) -> int:
             raise EmulationError(f"--can {options.can}: {error}") from None
     finally:
         bus.shutdown()
-        for number, handler in previous.items():
-            signal.signal(number, handler)
+        for restored, handler in previous.items():
+            signal.signal(restored, handler)
     report = node.report()
     print(json.dumps(report)) if options.json else _print(report)
     return 0
