@@ -40,12 +40,14 @@ class ErrorFrame(NamedTuple):
     data: bytes
 
 
-def is_valid(identifier: int, length: int, fd: bool, brs: bool, extended: bool) -> bool:
-    """Whether a frame of these properties exists: 11 or 29 bit identifier, a length that a DLC can express,
-    and no bit-rate switch in a classical frame."""
+def is_valid(
+    identifier: int, length: int, fd: bool, brs: bool, extended: bool, remote: bool = False, esi: bool = False
+) -> bool:
+    """Whether a frame of these properties exists: 11 or 29 bit identifier, a length that a DLC can express, neither
+    bit-rate switch nor error state in a classical frame, no remote frame in CAN FD."""
     if not 0 <= identifier < (EXTENDED_ID_LIMIT if extended else BASE_ID_LIMIT):
         return False
-    return length in CAN_FD_LENGTHS if fd else length <= 8 and not brs
+    return length in CAN_FD_LENGTHS and not remote if fd else length <= 8 and not (brs or esi)
 
 
 def checked(frame: Frame) -> Frame:
@@ -60,4 +62,8 @@ def checked(frame: Frame) -> Frame:
         raise InvalidFrameError(f"a classical CAN frame carries at most 8 bytes, not {len(frame.data)}")
     if frame.brs and not frame.fd:
         raise InvalidFrameError("a classical CAN frame has no bit-rate switch")
+    if frame.esi and not frame.fd:
+        raise InvalidFrameError("a classical CAN frame has no error state indicator")
+    if frame.remote and frame.fd:
+        raise InvalidFrameError("CAN FD has no remote frames")
     return frame

@@ -1,15 +1,22 @@
-"""The Zenoh link in virtual time: what is sent arrives later, out of order, or not at all, as configured."""
+"""The Zenoh link in virtual time: what is sent arrives later, changed, out of order, twice or not at all."""
 
 from __future__ import annotations
 
-import heapq
 from collections.abc import Callable
 from typing import Any
 
 from bus.config import Impairment
-from bus.impairment import ImpairmentModel
+from bus.impairment import NEVER, ImpairmentModel, Line
 
-NEVER = 1 << 62  # time of an event that is not foreseen, ns
+__all__ = ["NEVER", "Link", "LinkItem"]
+
+LinkItem = tuple[int, int, bytes]  # source or bus, CAN identifier, data
+
+
+def _changed(item: LinkItem, change: Callable[[bytes], bytes]) -> LinkItem:
+    source, can_id, data = item
+    changed = change(data)
+    return item if changed is data else (source, can_id, changed)
 
 
 class Link:
@@ -18,49 +25,44 @@ class Link:
     def __init__(self, name: str, config: Impairment, streams: Callable[[str], Any]) -> None:
         self.name = name
         self._impairment = ImpairmentModel(name, config, streams)
-        self._heap: list[tuple[int, int, Any]] = []
-        self._sequence = 0
+        self._line = Line(self._impairment, _changed)
+        self.pop_due = self._line.pop_due
         self.sent = 0
         self.lost = 0
 
-    def send(self, now_ns: int, item: Any, bits: int) -> None:
+    def send(self, now_ns: int, item: LinkItem, bits: int) -> None:
         """Put ``item``, ``bits`` long, on its way."""
         self.sent += 1
-        arrival = now_ns
-        impairment = self._impairment
-        if not impairment.clean:
-            if impairment.lost() or impairment.damaged_at(bits) is not None:
-                self.lost += 1
-                return
-            arrival += impairment.extra_ns()
-        self._sequence += 1
-        heapq.heappush(self._heap, (arrival, self._sequence, item))
+        if self._impairment.clean:
+            self._line.put(now_ns, item)
+        elif self._impairment.damaged_at(bits) is not None or not self._line.send(now_ns, item):
+            self.lost += 1
 
     def next_time(self) -> int:
-        """When the next item arrives, ns; NEVER when none is under way."""
-        return self._heap[0][0] if self._heap else NEVER
+        """When the next sample arrives, ns; NEVER when none is under way."""
+        return self._line.next_ns
 
-    def pop_due(self, now_ns: int) -> list[tuple[int, Any]]:
-        """(arrival, item) of all that have arrived by ``now_ns``, in order of arrival."""
-        due = []
-        heap = self._heap
-        while heap and heap[0][0] <= now_ns:
-            arrival, _, item = heapq.heappop(heap)
-            due.append((arrival, item))
-        return due
-
-    def set(self, key: str, value: float) -> None:
+    def set(self, key: str, value: Any) -> None:
         """Change one impairment; what is under way already is not affected."""
         self._impairment.set(key, value)
 
+    @property
+    def counts(self) -> dict[str, int]:
+        """What has happened to the samples so far."""
+        line = self._line
+        return {
+            "sent": self.sent, "lost": self.lost, "duplicated": line.duplicated, "corrupted": line.corrupted,
+            "reordered": line.reordered,
+        }  # fmt: skip
+
     def snapshot(self) -> dict[str, Any]:
         return {
-            "heap": list(self._heap),
-            "counts": (self._sequence, self.sent, self.lost),
+            "line": self._line.snapshot(),
+            "counts": (self.sent, self.lost),
             "impairment": self._impairment.snapshot(),
         }
 
     def restore(self, state: dict[str, Any]) -> None:
-        self._heap = list(state["heap"])
-        self._sequence, self.sent, self.lost = state["counts"]
+        self._line.restore(state["line"])
+        self.sent, self.lost = state["counts"]
         self._impairment.restore(state["impairment"])

@@ -11,6 +11,8 @@ that the last step inserted.
 
 from __future__ import annotations
 
+import struct
+
 import numpy as np
 
 START = 0  # after the dominant start-of-frame bit
@@ -64,17 +66,19 @@ def after_bits(state: int, value: int, width: int) -> tuple[int, int]:
     return position << 3, count
 
 
+_WORDS = [struct.Struct(f"{length // 2}H").unpack for length in range(65)]
+
+
 def after_bytes(state: int, data: bytes) -> tuple[int, int]:
-    """State and number of stuff bits after the bytes of ``data``."""
-    count = 0
+    """State and number of stuff bits after the bytes of ``data``, at most 64."""
     if len(data) & 1:
-        for word in memoryview(data)[:-1].cast("H"):
-            state = _PAIRS[state][word]
-            count += state & 7
+        state, count = after_bytes(state, data[:-1])
         state = _BYTES[state][data[-1]]
         return state, count + (state & 7)
-    for word in memoryview(data).cast("H"):
-        state = _PAIRS[state][word]
+    count = 0
+    pairs = _PAIRS
+    for word in _WORDS[len(data)](data):
+        state = pairs[state][word]
         count += state & 7
     return state, count
 

@@ -8,10 +8,10 @@ Bit fields, and the rate at which they run::
                 before them and after every fourth of them  |  delimiter 1
     both        ACK 1  delimiter 1  EOF 7  intermission 3                                arbitration rate
 
-The part left of the first bar is stuffed dynamically. The rate is switched at the sample point of BRS and,
-back, at that of the CRC delimiter. Whatever the two rates' sample points are, these two bits together last
-one bit time of either rate: BRS is counted wholly at the arbitration rate, the CRC delimiter wholly at the
-data rate, and the sum is exact.
+A remote frame has no data. The part left of the first bar is stuffed dynamically. The rate is switched at the
+sample point of BRS and, back, at that of the CRC delimiter. Whatever the two rates' sample
+points are, these two bits together last one bit time of either rate: BRS is counted wholly at the arbitration
+rate, the CRC delimiter wholly at the data rate, and the sum is exact.
 """
 
 from __future__ import annotations
@@ -39,6 +39,7 @@ class FrameBits(NamedTuple):
 class _Prefix(NamedTuple):
     """What all frames of one identifier and length have in common."""
 
+    priority: int
     state: int  # of the stuffing, after the DLC
     crc: int  # CRC-15 after the DLC, classical frames only
     slow: int  # bits before the tail, all but the stuff bits that depend on the data
@@ -57,40 +58,59 @@ _CRC15 = [_crc15(0, byte, 8) for byte in range(256)]
 
 
 @lru_cache(maxsize=4096)
-def _prefix(identifier: int, length: int, fd: bool, brs: bool, extended: bool) -> _Prefix:
-    checked(Frame(identifier, bytes(length), fd, brs, extended))
-    if extended:  # base identifier, SRR and IDE recessive, extension, RTR (RRS) dominant
-        head, width = ((identifier >> 18) << 20 | 3 << 18 | (identifier & 0x3FFFF)) << 1, 32
-    else:  # identifier, RTR (RRS) and IDE dominant
-        head, width = identifier << 2, 13
-    if fd:  # FDF recessive, res dominant, BRS; then ESI dominant (error active) and DLC
+def _prefix(
+    identifier: int, length: int, fd: bool, brs: bool, extended: bool, remote: bool, esi: bool
+) -> _Prefix:
+    checked(Frame(identifier, bytes(length), fd, brs, extended, remote, esi))
+    if extended:  # base identifier, SRR and IDE recessive, extension, RTR (RRS)
+        head, width = ((identifier >> 18) << 20 | 3 << 18 | (identifier & 0x3FFFF)) << 1 | remote, 32
+    else:  # identifier, RTR (RRS), IDE dominant
+        head, width = identifier << 2 | remote << 1, 13
+    priority = head << 32 - width
+    if fd:  # FDF recessive, res dominant, BRS; then ESI (recessive: error passive) and DLC
         state, stuffed_slow = stuffing.after_bits(stuffing.START, head << 3 | 4 | brs, width + 3)
-        state, stuffed_fast = stuffing.after_bits(state, _DLC[length], 5)
+        state, stuffed_fast = stuffing.after_bits(state, esi << 4 | _DLC[length], 5)
         slow = 1 + width + 3 + stuffed_slow
         check = 4 + (17 if length <= 16 else 21)
         fixed_stuff = 1 + check // 4
         fast = 5 + stuffed_fast + 8 * length + check + fixed_stuff + 1
-        return _Prefix(state, 0, slow, fast, True) if brs else _Prefix(state, 0, slow + fast, 0, False)
+        return (
+            _Prefix(priority, state, 0, slow, fast, True) if brs else _Prefix(priority, state, 0, slow + fast, 0, False)
+        )
     control = 6 if extended else 5  # r1, r0 and DLC
     head, width = head << control | length, width + control
     state, stuffed = stuffing.after_bits(stuffing.START, head, width)
-    return _Prefix(state, _crc15(0, head, width), 1 + width + stuffed + 8 * length + 15 + 1, 0, False)
+    data_bits = 0 if remote else 8 * length
+    return _Prefix(priority, state, _crc15(0, head, width), 1 + width + stuffed + data_bits + 15 + 1, 0, False)
+
+
+def contender(frame: Frame) -> tuple[int, int, int]:
+    """What the wire needs to know of a frame: its priority in arbitration and its bits as ``frame_bits`` has them.
+
+    The priority is the arbitration field as a number, the lowest wins: the first bit that differs decides. So data
+    beats remote, and a base frame an extended one with the same first eleven bits. Raises InvalidFrameError for
+    an impossible frame.
+    """
+    identifier, data, fd, brs, extended, remote, esi = frame
+    priority, state, crc, slow, fast, switches = _prefix(identifier, len(data), fd, brs, extended, remote, esi)
+    if remote:
+        data = b""  # only its length was sent
+    state, stuffed = stuffing.after_bytes(state, data)
+    if switches:
+        return priority, slow, fast + stuffed
+    if fd:
+        return priority, slow + stuffed, 0
+    table = _CRC15
+    for byte in data:
+        crc = (crc << 8 & 0x7FFF) ^ table[crc >> 7 ^ byte]
+    state, stuffed_crc = stuffing.after_15_bits(state, crc)
+    return priority, slow + stuffed + stuffed_crc + stuffing.pending(state), 0
 
 
 def frame_bits(frame: Frame) -> FrameBits:
     """Bits of ``frame`` before its tail of TAIL bits, per rate. Raises InvalidFrameError for an impossible
     frame."""
-    identifier, data, fd, brs, extended, _, _ = frame
-    state, crc, slow, fast, switches = _prefix(identifier, len(data), fd, brs, extended)
-    state, stuffed = stuffing.after_bytes(state, data)
-    if switches:
-        return FrameBits(slow, fast + stuffed)
-    if fd:
-        return FrameBits(slow + stuffed, 0)
-    for byte in data:
-        crc = (crc << 8 & 0x7FFF) ^ _CRC15[crc >> 7 ^ byte]
-    state, stuffed_crc = stuffing.after_15_bits(state, crc)
-    return FrameBits(slow + stuffed + stuffed_crc + stuffing.pending(state), 0)
+    return FrameBits(*contender(frame)[1:])
 
 
 class BitRates:
@@ -108,16 +128,9 @@ class BitRates:
         """Time of ``slow`` bits at the arbitration rate and ``fast`` at the data rate, ns, rounded up."""
         return -(-(slow * self._slow + fast * self._fast) // self._denominator)
 
-
-    def ns_until(self, bit: int, bits: FrameBits) -> int:
-        """Time from the start of a frame of ``bits`` to the end of its bit number ``bit`` (from 0), ns."""
-        slow, fast = bits
-        sent = bit + 1
-        if sent <= slow:
-            return self.ns(sent)
-        if sent <= slow + fast:
-            return self.ns(slow, sent - slow)
-        return self.ns(sent - fast, fast)
+    def lengths(self) -> tuple[int, int, int]:
+        """A bit at the arbitration rate, one at the data rate and a nanosecond, in a unit that makes them whole."""
+        return self._slow, self._fast, self._denominator
 
 
 _rates = lru_cache(maxsize=16)(BitRates)

@@ -88,13 +88,13 @@ def _classic(text: str) -> float:
 
 def _config(options: argparse.Namespace) -> BusConfig:
     """Rates and faults of the bus. Raises UserError for a setting that is none of its own."""
-    from bus.config import BusConfig, Impairment
-    from hil.scenario import parse_value
+    from hil.scenario import parse_value, validate
     from hil.schema import nearest
+    from hil.standalone.server import injectable
 
-    keys = [f"bus.{options.name}.{key}" for key in Impairment.model_fields]
+    keys = injectable(options.name)
     slow, fast = (options.classic, options.classic) if options.classic is not None else options.fd
-    values = {"arbitration_rate": f"{slow!r} bit/s", "data_rate": f"{fast!r} bit/s"}
+    values: dict[str, Any] = {"arbitration_rate": f"{slow!r} bit/s", "data_rate": f"{fast!r} bit/s"}
     for setting in options.settings:
         key, separator, value = setting.partition("=")
         if not separator:
@@ -102,8 +102,12 @@ def _config(options: argparse.Namespace) -> BusConfig:
         if key.strip() not in keys:
             raise UserError(f"--set {setting}: no such key{nearest(key.strip(), keys)}")
         parse_value(key.strip(), value.strip())  # complains with the key's name
-        values[key.strip().rpartition(".")[2]] = value.strip()
-    return BusConfig.model_validate(values)
+        *tables, leaf = key.strip().split(".")[2:]
+        node = values
+        for table in tables:
+            node = node.setdefault(table, {})
+        node[leaf] = value.strip()
+    return validate({"name": "bus", "bus": {options.name: values}}).bus[options.name]
 
 
 def _up(options: argparse.Namespace) -> int:
@@ -158,7 +162,7 @@ def _serve(
     from hil.clock import request_priority
     from hil.control import between_events, serve_injections
     from hil.standalone.record import Record
-    from hil.standalone.server import StandaloneBus
+    from hil.standalone.server import StandaloneBus, injectable
 
     name, endpoint = options.name, f"tcp/127.0.0.1:{free_port()}"
     try:
@@ -187,7 +191,7 @@ def _serve(
             session = zenoh.open(session_config(endpoint, None))
         except zenoh.ZError as error:
             raise UserError(f"Zenoh could not be opened at {endpoint}: {error}") from None
-        serve_injections(bus, session, name, [name])
+        serve_injections(bus, session, name, injectable(name))
         session.declare_queryable(
             keys(name).status, between_events(bus, lambda _: {**bus.status(), "scheduling": scheduling})
         )

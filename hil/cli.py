@@ -95,15 +95,18 @@ def _parser() -> argparse.ArgumentParser:
     bench.add_argument("--json", action="store_true")
     bench.set_defaults(command=_bench)
 
-    inject = commands.add_parser("inject", help="change an impairment of a run that is going on")
-    inject.add_argument("key", nargs="?", metavar="KEY", help="e.g. link.command.delay")
+    inject = commands.add_parser("inject", help="inject a fault into a run that is going on")
+    inject.add_argument("key", nargs="?", metavar="KEY", help="e.g. link.command.delay; with --list the part to list")
     inject.add_argument("value", nargs="?", metavar="VALUE", help="with its unit, e.g. 3ms")
     inject.add_argument("--run", metavar="NAME", help="which run, when several are going on")
-    inject.add_argument("--list", action="store_true", help="list the keys")
+    inject.add_argument("--list", action="store_true", help="list all keys with range, default and meaning")
     inject.set_defaults(command=_inject)
 
     bus_command.add_parser(commands)
     joint_command.add_parser(commands)
+    from hil import replay
+
+    replay.add_parser(commands)
     return parser
 
 
@@ -236,6 +239,8 @@ def _print_outcome(record: dict[str, Any]) -> None:
         if not wall["kept_up"]:
             print("            this machine does NOT keep up at these rates: lower firmware.rate and controller.rate")
     print(f"digest      {record['log_digest']}")
+    if record["reproducible_from"] == "record":
+        print("            no longer from the scenario alone, something came in from outside: `hil replay` repeats it")
     if record["out"] is not None:
         report = Path(record["out"]) / "report.html"
         print(f"report      {report if report.exists() else record['out']}")
@@ -270,8 +275,7 @@ def _inject(options: argparse.Namespace) -> int:
     from hil import control
 
     if options.list:
-        for key, meaning in control.keys_of_all_robots():
-            print(f"{key:36} {meaning}")
+        print("\n".join(control.listing(options.key or "")))
         return 0
     if options.key is None or options.value is None:
         raise UserError("inject needs KEY and VALUE, for example `hil inject link.command.delay 3ms`")

@@ -8,12 +8,11 @@ import threading
 from collections.abc import Callable
 from typing import Any
 
-from bus.config import Impairment
 from bus.frames import ErrorFrame, Frame
 from bus.ports import PortError, PortServer, find_runs, served
 from bus.zenoh_link import keys, session_config
 from hil.errors import EmulationError, HilError, UserError
-from hil.injection import injectable
+from hil.injection import Injectable, injectable, of_bus
 from hil.scenario import parse_value
 from hil.schema import nearest
 from robots import description
@@ -88,6 +87,7 @@ def serve_run(assembly: Any) -> None:
     """Open a run to the outside: ports on its buses, and with a Zenoh session the injection query."""
     system, session = assembly.system, assembly.session
     buses = [wire.name for wire in system.wires]
+    known = list(injectable(description.load(system.scenario.robot)))
     endpoint = assembly.endpoint
     try:
         ports = [wire.ports - 1 for wire in system.wires]  # the last one of each is the tools'
@@ -97,19 +97,19 @@ def serve_run(assembly: Any) -> None:
     if session is None:
         return
 
-    assembly.queryable = serve_injections(system, session, assembly.run_name, buses)
+    assembly.queryable = serve_injections(system, session, assembly.run_name, known)
 
 
-def serve_injections(system: Any, session: Any, run: str, buses: list[str]) -> Any:
-    """Answer the injection queries for ``run``: ``system`` has ``inject(key, value)`` and ``now_ns``, and runs its
-    ``requests`` between two events. Returns the queryable."""
+def serve_injections(system: Any, session: Any, run: str, known: list[str]) -> Any:
+    """Answer the injection queries for ``run``, which takes the keys ``known``: ``system`` has ``inject(key, value)``
+    and ``now_ns``, and runs its ``requests`` between two events. Returns the queryable."""
 
     def change(text: str) -> dict[str, Any]:
         try:
             order = json.loads(text)
             key, value = order["key"], order["value"]
-            if key not in injectable(buses):
-                raise UserError(unknown_key(key, injectable(buses)))
+            if key not in known:
+                raise UserError(unknown_key(key, known))
             return {"value": system.inject(key, value), "time": system.now_ns * 1e-9}
         except (ValueError, KeyError, TypeError, RecursionError):
             return {"error": 'expected {"key": …, "value": …}'}
@@ -145,8 +145,8 @@ def between_events(system: Any, respond: Callable[[str], dict[str, Any]]) -> Cal
 
 def inject(key: str, value: str, run: str | None = None) -> str:
     """Change ``key`` of a run that is going on. Returns one sentence; raises UserError or EmulationError."""
-    known = [name for name, _ in keys_of_all_robots()]
-    known += [name for name in injectable([channel for _, channel in served()]) if name not in known]
+    known = list(keys_of_all_robots())
+    known += [name for _, bus in served() for name in of_bus(bus) if name not in known]
     if key not in known:
         raise UserError(unknown_key(key, known))
     parse_value(key, value)
@@ -194,14 +194,22 @@ def unknown_key(key: object, known: list[str]) -> str:
     return f"unknown key {key!r}{nearest(str(key), known)} (`hil inject --list` lists all)"
 
 
-def keys_of_all_robots() -> list[tuple[str, str]]:
-    """Every injectable key with its meaning and range."""
-    meaning = {
-        "delay": "added to every delivery, e.g. 2ms; at least 0",
-        "jitter": "added on top, uniform in [0, value], e.g. 1ms; at least 0",
-        "loss": "share of deliveries that vanish, 0 to 1",
-        "bit_error_rate": "probability per bit, 0 to 1; CAN retransmits, a link discards",
-    }
-    assert set(meaning) == set(Impairment.model_fields)
-    buses = sorted({bus.name for name in description.available() for bus in description.load(name).buses})
-    return [(key, meaning[key.rpartition(".")[2]]) for key in injectable(buses)]
+def keys_of_all_robots() -> dict[str, Injectable]:
+    """All that can be injected, by key, whatever the robot."""
+    return {k: v for name in description.available() for k, v in injectable(description.load(name)).items()}
+
+
+def listing(prefix: str = "") -> list[str]:
+    """Lines that explain the injectable keys, all or those under ``prefix``. Raises UserError when there is none."""
+    known = keys_of_all_robots()
+    entries = [v for k, v in known.items() if f"{k}.".startswith(f"{prefix}." if prefix else "")]
+    if not entries:
+        raise UserError(unknown_key(prefix, list(known)))
+    rows = [("KEY", "RANGE", "DEFAULT", "MEANING")]
+    rows += [(e.key, e.range, _shown(e.written(e.default)), e.meaning) for e in entries]
+    widths = [max(len(row[column]) for row in rows) for column in range(3)]
+    return ["  ".join([*(f"{row[c]:{widths[c]}}" for c in range(3)), row[3]]) for row in rows]
+
+
+def _shown(value: Any) -> str:
+    return str(value).lower() if isinstance(value, bool) else str(value)

@@ -59,8 +59,11 @@ class Derived:
 
     @cached_property
     def com_true(self) -> np.ndarray:
-        """True CoM (x, z) at the controller's rows, (n, 2), m."""
-        return self._world_at("com.x", "com.z")
+        """True CoM (x, z) at the controller's rows, (n, 2), m, from the midpoint of the feet when they began to carry
+        the robot alone: the origin that the controller knows. Until then they may still find their place."""
+        row = self.released or 0
+        feet = [self.world.vector(f"foot.{foot}.x", f"foot.{foot}.z")[row] for foot in self.feet if len(self.world)]
+        return self._world_at("com.x", "com.z") - (np.mean(feet, axis=0) if feet else 0.0)
 
     @cached_property
     def com_error(self) -> np.ndarray:

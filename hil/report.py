@@ -9,8 +9,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from bus.config import Impairment
 from hil.signals import Signals
+from robots import description
 
 _STYLE = """
 body{font:16px/1.5 system-ui,sans-serif;margin:0 auto;max-width:60rem;padding:1rem;
@@ -40,24 +40,27 @@ def _row(
     return f"<tr{kind}><td>{name}</td><td class=n>{number}</td><td>{unit}</td><td>{bound}</td></tr>"
 
 
-def _amount(key: str, value: float) -> str:
-    return f"{1e3 * value:g} ms" if key in ("delay", "jitter") else f"{value:g}"
+def _faults(configuration: Mapping[str, Any]) -> list[str]:
+    """Every fault and push of the configuration."""
+    from hil.injection import injectable
 
-
-def _impairments(configuration: Mapping[str, Any]) -> list[str]:
-    """Every impairment and push of the configuration."""
     found = []
-    groups = {f"link.{k}": v for k, v in configuration["link"].items()}
-    groups |= {f"bus.{k}": v for k, v in configuration["bus"].items()}
-    for target, values in groups.items():
-        for key in Impairment.model_fields:
-            if values[key]:
-                found.append(f"{target}.{key} = {_amount(key, values[key])} from the start")
+    for key, entry in injectable(description.load(configuration["robot"])).items():
+        value: Any = configuration
+        for part in key.split("."):
+            value = value.get(part, {})
+        if value not in ({}, entry.default):
+            amount = f"{1e3 * value:g} ms" if entry.unit == "s" else f"{_shown(value)} {entry.unit}".rstrip()
+            found.append(f"{key} = {amount} from the start")
     for push in configuration["push"]:
         force = ", ".join(f"{component:g}" for component in push["force"])
         held = f"held for {push['duration']:g} s, ramps of {push['ramp']:g} s"
         found.append(f"push of ({force}) N at {push['at']:g} s, {held}")
     return found
+
+
+def _shown(value: Any) -> str:
+    return f"{value:g}" if isinstance(value, float) else str(value)
 
 
 def _numbers(record: Mapping[str, Any]) -> str:
@@ -98,7 +101,7 @@ def write_report(directory: Path, record: Mapping[str, Any], tables: Mapping[str
     from hil.plots import draw
     from hil.scenario import to_toml
 
-    injected = _impairments(record["configuration"])
+    injected = _faults(record["configuration"])
     injected += [f"{i['key']} = {i['value']} from {i['time_s']:.3f} s on" for i in record["injected"]]
     items = "".join(f"<li>{html.escape(text)}</li>" for text in injected) or "<li>nothing</li>"
     plots = "".join(

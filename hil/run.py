@@ -38,6 +38,7 @@ class Request:
     zenoh: str | None = None  # endpoint of a router to join
     report: bool = True
     log_formats: tuple[str, ...] = ()  # of each bus, beside candump's: of bus.logs.FORMATS
+    journal: Any = None  # a hil.journal.Journal to write to instead of the one of the directory
 
 
 @dataclass
@@ -123,6 +124,7 @@ def assemble(request: Request, wrap: Callable[[str, Any], Any] = lambda _, node:
             controller = InlineController(Controller(model, scenario.controller, compile=compile_function))
 
         from central_controller.controller import telemetry_fields
+        from hil.journal import Journal
         from hil.recorder import Recorder
         from hil.system import System
         from hil.verdict import Monitor
@@ -135,6 +137,7 @@ def assemble(request: Request, wrap: Callable[[str, Any], Any] = lambda _, node:
             "bus": [f"{what}.{b}" for what in ("load", "sent", "lost", "errors") for b in buses],
         }
         recorder = Recorder(request.out, channels, buses, log_formats=request.log_formats)
+        journal = request.journal if request.journal is not None else Journal(request.out)
         assembly = None
         try:
             system = System(
@@ -147,6 +150,7 @@ def assemble(request: Request, wrap: Callable[[str, Any], Any] = lambda _, node:
                 random,
                 clock,
                 Monitor(scenario.limits, channels),
+                journal,
             )
             system.wires = [wrap("bus", wire) for wire in system.wires]
             pids = {"launcher": os.getpid(), **family.pids}
@@ -157,6 +161,7 @@ def assemble(request: Request, wrap: Callable[[str, Any], Any] = lambda _, node:
             if assembly is not None and assembly.tap is not None:
                 assembly.tap.close()
             recorder.close()
+            journal.close()
             if session is not None:
                 controller.close()
 
@@ -174,6 +179,7 @@ def run(
         system = assembly.system
         if prepare is not None:
             prepare(assembly)
+        system.journal.write({"run": origin(request)})
         start_up = process_age()
         system.clock.start()
         first = time.monotonic()
@@ -189,6 +195,8 @@ def run(
         memory = {name: _resident(pid) for name, pid in assembly.pids.items()}
         assembly.family.end()
         recorder = assembly.recorder
+        if failure is None:
+            system.journal.write({"end_ns": system.now_ns, "digest": recorder.digest()})
     return _conclude(request, system, recorder, failure, elapsed, start_up, memory, assembly.world)
 
 
@@ -222,7 +230,10 @@ def _conclude(
         "start_up_time": start_up,
         "memory_bytes": {**memory, "sum": sum(memory.values())},
         "wall_clock": system.clock.report(),
+        "deliveries": system.deliveries(),
         "injected": system.injected,
+        "tool_frames": system.tool_frames,
+        "reproducible_from": system.reproducible_from,
         "out": None if request.out is None else str(request.out),
         "versions": versions(),
         "configuration": scenario.model_dump(mode="json"),
@@ -230,6 +241,17 @@ def _conclude(
     if request.out is not None:
         _write_directory(request, record, tables, world)
     return Outcome(record, status, tables)
+
+
+def origin(request: Request) -> dict[str, Any]:
+    """What a run starts from: with what came into it from outside, all that determines it."""
+    return {
+        "seed": request.seed,
+        "backend": request.backend,
+        "clock": request.clock,
+        "versions": versions(),
+        "configuration": request.scenario.model_dump(mode="json"),
+    }
 
 
 def _write_directory(request: Request, record: dict[str, Any], tables: dict[str, Any], world: Any) -> None:

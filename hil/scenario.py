@@ -23,11 +23,15 @@ from robots.quantities import Config, Seconds
 
 
 class InjectionConfig(Config):
-    """A change of one impairment at a given time of the run."""
+    """A change of one injectable value at a given time of the run, for good or until another time.
+
+    At ``until`` the value returns to what it was just before ``at``.
+    """
 
     at: Seconds
-    key: str  # an injectable key, e.g. link.command.delay
-    value: str | float  # with its unit, e.g. "3ms"
+    until: Seconds | None = None
+    key: str  # `hil inject --list` shows them, e.g. link.command.delay
+    value: str | float | bool  # with its unit, e.g. "3ms"
 
 
 class Scenario(Config):
@@ -67,6 +71,14 @@ def load(name: str, settings: typing.Sequence[str] = ()) -> Scenario:
         if not separator or not all(part.strip() for part in key.split(".")):
             raise UserError(f"--set {setting}: expected KEY=VALUE, for example --set link.command.delay=3ms")
         _assign(data, key.strip(), _literal(text.strip()))
+    return complete(data, source)
+
+
+def complete(data: dict[str, Any], source: str) -> Scenario:
+    """The scenario of ``data`` (of the file or place ``source``), checked as a whole, with all buses of its robot.
+
+    Raises UserError with the key's path and what would be right.
+    """
     scenario = validate(data, source)
     _check_consistency(scenario, source)
     robot = description.load(scenario.robot)
@@ -86,8 +98,8 @@ def validate(data: dict[str, Any], source: str = "") -> Scenario:
         raise UserError(f"{source}: {sentence}" if source else sentence) from None
 
 
-def parse_value(key: str, value: Any) -> float:
-    """Read one numeric setting as the scenario would: ``parse_value("link.command.delay", "3ms")`` is 0.003.
+def parse_value(key: str, value: Any) -> float | bool | str:
+    """Read one setting as the scenario would: ``parse_value("link.command.delay", "3ms")`` is 0.003.
 
     Raises UserError for an unknown key or a value that the key does not take.
     """
@@ -96,9 +108,9 @@ def parse_value(key: str, value: Any) -> float:
     node: Any = validate(data)
     for part in key.split("."):
         node = node[part] if isinstance(node, dict) else getattr(node, part)
-    if not isinstance(node, int | float):
-        raise UserError(f"{key} is not a number")
-    return float(node)
+    if not isinstance(node, int | float | str):
+        raise UserError(f"{key} is not a single value")
+    return node
 
 
 def to_toml(configuration: Mapping[str, Any]) -> str:
@@ -203,14 +215,37 @@ def _inconsistencies(scenario: Scenario) -> Iterator[str]:
     ):
         if value <= 0:
             yield f"{key} = {value:g} s: expected more than 0 s"
-    from hil.injection import injectable  # the keys depend on the robot's buses
+    yield from _wrong_faults(scenario, robot)
 
-    keys = injectable(names)
-    for n, injection in enumerate(scenario.inject):
-        if injection.key not in keys:
+
+def _wrong_faults(scenario: Scenario, robot: description.Robot) -> Iterator[str]:
+    """Nodes and keys that the robot's buses do not have, and injections that contradict each other."""
+    from hil.injection import injectable  # it reads values as this module does
+
+    known = injectable(robot)
+    keys = list(known)
+    for bus in robot.buses:
+        for name, faults in scenario.bus.get(bus.name, BusConfig()).node.items():
+            path = f"bus.{bus.name}.node"
+            nodes = list(dict.fromkeys(key.split(".")[3] for key in keys if key.startswith(f"{path}.")))
+            if name not in nodes:
+                yield f"unknown key {f'{path}.{name}'!r}{schema.nearest(name, nodes, path)}"
+            for key in faults.model_fields_set:
+                if name in nodes and f"{path}.{name}.{key}" not in known:
+                    yield f"{path}.{name}.{key}: only joints have this fault"
+    ends: dict[str, tuple[float, int]] = {}  # by key: when the last injection with an end is over, and its number
+    for n, injection in sorted(enumerate(scenario.inject), key=lambda item: item[1].at):
+        if injection.key not in known:
             yield f"inject.{n}.key = {injection.key!r}: no such key{schema.nearest(injection.key, keys)}"
             continue
         try:
             parse_value(injection.key, injection.value)
         except UserError as error:
             yield f"inject.{n}.value: {error}"
+        if injection.until is not None and injection.until <= injection.at:
+            yield f"inject.{n}.until = {injection.until:g} s: expected more than its at, {injection.at:g} s"
+        over, before = ends.get(injection.key, (0.0, n))
+        if injection.at < over:
+            yield f"inject.{n}.at = {injection.at:g} s: {injection.key} is under inject.{before} until {over:g} s"
+        if injection.until is not None:
+            ends[injection.key] = injection.until, n

@@ -62,6 +62,8 @@ def _expectation(error: Any, kind: Any, unit: str | None) -> str:
             return "expected 1 to 64 characters, none of / * $ ? #"
         case "float_type" | "float_parsing" | "finite_number":
             return "expected a finite number"
+        case "int_type" | "int_parsing" | "int_from_float":
+            return "expected a whole number"
         case "bool_type" | "bool_parsing":
             return "expected true or false"
     message = error["msg"].removeprefix("Value error, ")
@@ -85,10 +87,10 @@ def _below(kind: Any, part: str | int) -> tuple[Any, str | None]:
         inner = typing.get_args(kind)[1]
     elif typing.get_origin(kind) is tuple and isinstance(part, int):
         inner = typing.get_args(kind)[0]
-    if typing.get_origin(inner) is Annotated:
-        inner, *metadata = typing.get_args(inner)  # type: ignore[assignment]
     if typing.get_origin(inner) in (typing.Union, types.UnionType):
         inner = next(a for a in typing.get_args(inner) if a is not type(None))
+    if typing.get_origin(inner) is Annotated:
+        inner, *metadata = typing.get_args(inner)  # type: ignore[assignment]
     extras = [m.json_schema_extra for m in metadata if isinstance(m, FieldInfo) and m.json_schema_extra]
     return inner, next((str(e["unit"]) for e in extras if isinstance(e, dict) and "unit" in e), None)
 

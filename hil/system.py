@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import contextlib
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
@@ -24,9 +24,11 @@ from bus.link import NEVER, Link
 from bus.wire import Wire
 from bus.zenoh_link import IMU_SOURCE
 from hil.clock import VirtualClock, WallClock, tick_ns
-from hil.errors import UserError
+from hil.faults import Faults
+from hil.injection import Injector
+from hil.journal import Journal, frame_entry
 from hil.recorder import Recorder
-from hil.scenario import Scenario, parse_value
+from hil.scenario import Scenario
 from hil.streams import StreamFactory
 from robots.description import Robot
 
@@ -34,7 +36,7 @@ if TYPE_CHECKING:  # a backend forks its children before the physics is imported
     from hil.verdict import Monitor
     from plant.world import World
 
-GATEWAY_PORT = 0  # joints follow, then the port of attached tools
+GATEWAY_PORT = 0  # joints follow, then who only disturbs, and last the port of attached tools
 _FLUSH_NS = 100_000_000
 _MONITOR_NS = 10_000_000
 
@@ -42,9 +44,10 @@ Item = tuple[int, int, bytes]  # source or bus, CAN identifier, payload
 
 
 class JointHost(Protocol):
-    """Runs all joint nodes of a tick: ``start`` may return before they are done, ``finish`` waits."""
+    """Runs the joint nodes of a tick, all but those in ``idle``: ``start`` may return before they are done,
+    ``finish`` waits."""
 
-    def start(self, now_ns: int, inboxes: list[list[Frame]]) -> None: ...
+    def start(self, now_ns: int, inboxes: list[list[Frame]], idle: Sequence[int] = ()) -> None: ...
     def finish(self) -> list[list[Frame]]: ...
     def snapshot(self) -> list[Any]: ...
     def restore(self, states: list[Any]) -> None: ...
@@ -83,6 +86,7 @@ class System:
         streams: StreamFactory,
         clock: VirtualClock | WallClock,
         monitor: Monitor | None = None,
+        journal: Journal | None = None,
     ) -> None:
         self.scenario = scenario
         self.world, self.joints, self.controller = world, joints, controller
@@ -91,13 +95,15 @@ class System:
         self.stop_reason: str | None = None  # set by the monitor
         self.tap: Tap | None = None
         self.requests: deque[Callable[[], None]] = deque()  # run between two events: injections while running
-        self.injected: list[dict[str, Any]] = []
+        self.journal = journal if journal is not None else Journal(None)
+        self.tool_frames = 0
 
         self._joint_count = len(robot.joints)
         self.wires = [
-            Wire(bus.name, scenario.bus[bus.name], len(bus.joints) + 2, streams) for bus in robot.buses
+            Wire(bus.name, scenario.bus[bus.name], len(bus.joints) + 2 + Faults.PORTS, streams)
+            for bus in robot.buses
         ]
-        self._tool_port = [len(bus.joints) + 1 for bus in robot.buses]
+        self._tool_port = [wire.ports - 1 for wire in self.wires]
         order = {name: index for index, name in enumerate(robot.joint_names)}
         self._joints_of = [[order[name] for name in bus.joints] for bus in robot.buses]
         self._place = {
@@ -125,10 +131,10 @@ class System:
         self._monitor_ns = _MONITOR_NS
         self._inboxes: list[list[Frame]] = [[] for _ in range(self._joint_count)]
         self._arrived: list[tuple[int, int, int, bytes]] = []
-        self._schedule = sorted(
-            ((round(i.at * 1e9), n, i.key, i.value) for n, i in enumerate(scenario.inject)), key=lambda i: i[:2]
-        )
-        self._scheduled = 0
+        self.faults = Faults(scenario, robot, self.wires, self._place, streams, lambda: self._isr)
+        self._senders = self.faults.senders
+        links = {"link.state": self.state_link, "link.command": self.command_link}
+        self.injector = Injector(scenario, robot, self.faults.setters(links), self.journal)
 
         self._world_rows = recorder.channel("world")
         self._controller_rows = recorder.channel("controller")
@@ -152,6 +158,7 @@ class System:
                 self._isr_ns,
                 self._control_ns,
                 self._reply_ns,
+                self.faults.next_ns,
                 self.state_link.next_time(),
                 self.command_link.next_time(),
                 *[wire.next_time() for wire in self.wires],
@@ -163,11 +170,14 @@ class System:
             self._step(now)
 
     def _step(self, now: int) -> None:
+        if now == self.faults.next_ns:
+            self.faults.advance(now)
         for b, wire in enumerate(self.wires):
             if wire.next_time() == now:
                 for delivery in wire.advance(now):
-                    self._deliver(b, now, delivery.sender, delivery.frame)
-                # MERGE wire errors: for at, port, error in wire.error_frames(): self._note_error(b, at, port, error)
+                    self._deliver(b, now, delivery.sender, delivery.frame, delivery.missed)
+                for at, port, error in wire.error_frames():
+                    self._note_error(b, at, port, error)
         if self.state_link.next_time() == now:
             for arrival, (source, can_id, data) in self.state_link.pop_due(now):
                 self._arrived.append((arrival, source, can_id, data))
@@ -184,21 +194,25 @@ class System:
         if now == self._control_ns:
             self._start_control(now)
 
-    def _deliver(self, b: int, now: int, sender: int, frame: Frame) -> None:
+    def _deliver(self, b: int, now: int, sender: int, frame: Frame, missed: int) -> None:
+        """``missed``: bit mask of the ports that a fault keeps the frame from."""
         self.recorder.frame(now, b, frame)
-        if self.tap is not None:
+        if self.tap is not None and not missed >> self._tool_port[b] & 1:
             self.tap.broadcast(b, now, sender, frame)
+        sound = type(frame.data) is bytes  # what a corrupted frame says is no fact about the run
         if frame.id == messages.COMMAND:  # the acceptance filter of the drives' CAN controllers
             for slot, joint in enumerate(self._joints_of[b]):
+                if missed >> slot + 1 & 1:
+                    continue
                 if sender != slot + 1:
                     self._inboxes[joint].append(frame)
-                if sender == GATEWAY_PORT:
+                if sender == GATEWAY_PORT and sound:
                     self._note_round_trip(now, joint, slot, frame.data)
-        if sender != GATEWAY_PORT:
+        if sender != GATEWAY_PORT and not missed >> GATEWAY_PORT & 1:
             item = self.gateway.from_can(now, b, frame)
             if item is not None:
                 self.state_link.send(now, item, 8 * len(frame.data))
-                if frame.id & 0x780 == messages.STATE:
+                if frame.id & 0x780 == messages.STATE and sound:
                     self._note_state(b, sender, frame.data)
 
     def _note_error(self, b: int, now: int, port: int, error: ErrorFrame) -> None:
@@ -215,29 +229,45 @@ class System:
             self.state_link.send(now, (IMU_SOURCE, 0, world.imu()), 8 * 12)
         world.sample()
         world.latch()
-        self.joints.start(now, self._inboxes)
-        for _ in range(self._steps_per_isr):
-            world.step()
-        outboxes = self.joints.finish()
-        for joint, frames in enumerate(outboxes):
-            if frames:
-                bus, port = self._place[joint]
-                for frame in frames:
-                    self.wires[bus].offer(now, port, frame)
-        for inbox in self._inboxes:
-            inbox.clear()
+        if self._senders.clocks:
+            self._tick_on_own_clocks(now)
+        else:
+            self.joints.start(now, self._inboxes)
+            for _ in range(self._steps_per_isr):
+                world.step()
+            self._senders.offer(now, self.joints.finish())
+            for inbox in self._inboxes:
+                inbox.clear()
         self._isr += 1
         self._isr_ns = tick_ns(self._isr, self._isr_rate)
 
+    def _tick_on_own_clocks(self, now: int) -> None:
+        """The same where clocks drift: a joint may tick once, twice or not at all within this tick of the world."""
+        senders, inboxes = self._senders, self._inboxes
+        offsets = senders.offsets(now)
+        idle = [joint for joint, times in offsets.items() if not times]
+        self.joints.start(now, [[] if j in idle else inbox for j, inbox in enumerate(inboxes)], idle)
+        for _ in range(self._steps_per_isr):
+            self.world.step()
+        senders.offer(now, self.joints.finish(), offsets)
+        for joint, inbox in enumerate(inboxes):
+            if joint not in idle:
+                inbox.clear()
+        again = [joint for joint, times in offsets.items() if len(times) > 1]
+        if again:
+            self.joints.start(now, [[] for _ in inboxes], [j for j in range(self._joint_count) if j not in again])
+            senders.offer(now, self.joints.finish(), offsets, tick=1)
+        self.faults.look()
+
     def _start_control(self, now: int) -> None:
-        if self._scheduled < len(self._schedule) and self._schedule[self._scheduled][0] <= now:
-            self._apply_schedule(now)
+        self.injector.apply_due(now)
         while self.requests:  # filled by a thread of Zenoh's
             self.requests.popleft()()
         if self.tap is not None:
-            # MERGE wire states: for each b, wire: self.tap.set_state(b, *wire.ports_state(self._tool_port[b]))
+            for b, wire in enumerate(self.wires):
+                self.tap.set_state(b, *wire.ports_state(self._tool_port[b]))
             for bus, frame in self.tap.poll():
-                if not self.wires[bus].offer(now, self._tool_port[bus], frame):
+                if not self._offer_of_tool(now, bus, frame):
                     self.tap.refused(bus, frame)
         self.controller.start(now, self._arrived)
         self._arrived = []
@@ -246,6 +276,14 @@ class System:
         self._control_ns = self._control_phase_ns + tick_ns(self._control, self._control_rate)
         self._drive_rows.append(now, self._drive_row)
         self._drive_row[2 * self._joint_count :] = np.nan
+
+    def _offer_of_tool(self, now: int, bus: int, frame: Frame) -> bool:
+        wire, port = self.wires[bus], self._tool_port[bus]
+        if not wire.offer(now, port, frame):
+            return False  # it comes again
+        self.tool_frames += 1
+        self.journal.write(frame_entry(now, wire.name, port, frame))
+        return True
 
     def _finish_control(self, now: int) -> None:
         commands, telemetry = self._reply if self._reply is not None else self.controller.finish()
@@ -259,6 +297,8 @@ class System:
         if now >= self._flush_ns:
             self._flush_ns += _FLUSH_NS
             self.recorder.flush(now)
+            if self.journal.is_open:
+                self.journal.write({"time_ns": now, "digest": self.recorder.digest()})
 
     # --- observing ----------------------------------------------------------------------------------------------
 
@@ -278,6 +318,11 @@ class System:
         controlword, echoed = data[4 + 20 * slot], data[22 + 20 * slot] | data[23 + 20 * slot] << 8
         if controlword != messages.Controlword.ENABLE_OPERATION:
             return  # not yet computed from a sample
+        if joint in self._senders.clocks:
+            own = self._senders.clocks[joint].sampled_ns(echoed, self._isr_per_report)
+            if own is not None:
+                self._drive_row[2 * self._joint_count + joint] = (now - own) * 1e-9
+            return
         latest = (self._isr - 1) // self._isr_per_report
         sample = latest - ((latest - echoed) & 0xFFFF)
         if sample >= 0:
@@ -300,6 +345,13 @@ class System:
         if self.monitor is not None:
             self.stop_reason = self.monitor.check(now, self.world.truth(), telemetry, self._drive_row)
 
+    def deliveries(self) -> dict[str, dict[str, int]]:
+        """What has happened so far to what buses and links carried, by their paths."""
+        links = {"link.state": self.state_link, "link.command": self.command_link}
+        return {path: link.counts for path, link in links.items()} | {
+            f"bus.{wire.name}": wire.counts for wire in self.wires
+        }
+
     def com_error(self) -> float:
         """Distance of the estimated CoM from its reference in the sagittal plane now, m."""
         return self._com_error
@@ -310,34 +362,25 @@ class System:
 
     # --- injecting ----------------------------------------------------------------------------------------------
 
-    def inject(self, key: str, value: str | float) -> float:
-        """Change one impairment from now on. Returns its value in SI units; raises UserError for a wrong one."""
-        parsed = parse_value(key, value)
-        target, _, quantity = key.rpartition(".")
-        self._impaired(target).set(quantity, parsed)
-        self.injected.append({"time_s": self.now_ns * 1e-9, "key": key, "value": str(value)})
-        return parsed
+    @property
+    def injected(self) -> list[dict[str, Any]]:
+        """Every change so far, with its time."""
+        return self.injector.injected
 
-    def _impaired(self, target: str) -> Any:
-        if target == "link.state":
-            return self.state_link
-        if target == "link.command":
-            return self.command_link
-        for wire in self.wires:
-            if target == f"bus.{wire.name}":
-                return wire
-        raise UserError(f"nothing to inject at {target!r}")
+    @property
+    def reproducible_from(self) -> str:
+        """What repeats this run to the bit: "scenario" (and seed), or "record" when something came from outside."""
+        return "record" if self.tool_frames or self.injector.from_outside else "scenario"
 
-    def _apply_schedule(self, now: int) -> None:
-        while self._scheduled < len(self._schedule) and self._schedule[self._scheduled][0] <= now:
-            _, _, key, value = self._schedule[self._scheduled]
-            self._scheduled += 1
-            self.inject(key, value)
+    def inject(self, key: str, value: Any) -> Any:
+        """Change one injectable value from now on, at a request from outside. Returns it in SI units; raises UserError
+        for a wrong one."""
+        return self.injector.inject(self.now_ns, key, value)
 
     # --- state --------------------------------------------------------------------------------------------------
 
     _PLAIN = (
-        "now_ns", "_isr", "_control", "_isr_ns", "_control_ns", "_reply_ns", "_flush_ns", "_monitor_ns", "_scheduled",
+        "now_ns", "_isr", "_control", "_isr_ns", "_control_ns", "_reply_ns", "_flush_ns", "_monitor_ns", "tool_frames",
     )  # fmt: skip
 
     def snapshot(self) -> dict[str, Any]:
@@ -358,6 +401,8 @@ class System:
             "wires": [wire.snapshot() for wire in self.wires],
             "links": [self.state_link.snapshot(), self.command_link.snapshot()],
             "gateway": self.gateway.snapshot(),
+            "faults": self.faults.snapshot(),
+            "injector": self.injector.snapshot(),
         }
 
     def restore(self, state: dict[str, Any]) -> None:
@@ -378,5 +423,7 @@ class System:
         self.state_link.restore(state["links"][0])
         self.command_link.restore(state["links"][1])
         self.gateway.restore(state["gateway"])
+        self.faults.restore(state["faults"])
+        self.injector.restore(state["injector"])
 
 

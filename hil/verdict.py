@@ -87,7 +87,10 @@ class Monitor:
                 return f"foot slipped: {name} by {1e3 * slip:.0f} mm {limit} at {time:.2f} s"
         if time < limits.settle or controller[self._phase] < _ON:
             return None
-        error = math.dist(world[self._com], controller[self._reference])
+        # the controller's origin is the midpoint of the feet
+        x, _, z = np.mean(self._stood, axis=0)
+        com_x, com_z = world[self._com]
+        error = math.dist((com_x - x, com_z - z), controller[self._reference])
         if error > limits.com_error:
             return f"CoM error {1e3 * error:.1f} mm (limit {1e3 * limits.com_error:.1f} mm) at {time:.2f} s"
         angle = float(np.abs(world[self._angles]).max())

@@ -95,11 +95,12 @@ class Bench:
         self._q, self._dq = np.array([load.at]), np.zeros(1)
         self._actuator = SeriesElasticActuators(alone, self._dt, friction_scale, compile)
         self._actuator.place(self._q)
-        self._sensors = JointSensors(alone, sensors, streams)
+        actuator = self._actuator
+        self._sensors = JointSensors(alone, sensors, streams, compile, actuator.rotor, self._q, actuator.current)
         self._limit = joint.actuator.current_limit
-        self._no_feet = np.zeros(0)
         self._inputs = np.zeros((1, pins.N_INPUTS), np.int32)
         self._outputs = np.zeros((1, pins.N_OUTPUTS), np.int32)
+        self._sensors.connect(self._inputs)
         self.pins_in, self.pins_out = self._inputs[0], self._outputs[0]
 
     @property
@@ -119,8 +120,7 @@ class Bench:
 
     def sample(self) -> None:
         """Write the drive's input pins from the present state."""
-        actuator = self._actuator
-        self._sensors.write(self._inputs, actuator.theta, self._q, actuator.current, self._no_feet)
+        self._sensors.write(self._inputs, ())
 
     def latch(self) -> None:
         """Let the drive's output pins take effect from now on; the current saturates at its limit."""

@@ -65,7 +65,7 @@ class SeriesElasticActuators:
         n = len(robot.joints)
         self._n = n
         actuators = [joint.actuator for joint in robot.joints]
-        self._rotor, self._next = np.zeros(2 * n), np.zeros(2 * n)
+        self.rotor, self._next = np.zeros(2 * n), np.zeros(2 * n)  # angles, then velocities; seen from the joints
         self.current = np.zeros(n)  # A, demanded
         self._joint = np.zeros(2 * n)
         self.torque = np.zeros(n)  # N m on the joints during the last step
@@ -78,7 +78,7 @@ class SeriesElasticActuators:
         ])  # fmt: skip
         self._p = np.asfortranarray(parameters).ravel(order="F")
         self._buffer, self._evaluate = compile(rotor_step(n, dt)).buffer()
-        for index, array in enumerate((self._rotor, self.current, self._joint, self._p)):
+        for index, array in enumerate((self.rotor, self.current, self._joint, self._p)):
             self._buffer.set_arg(index, memoryview(array))  # type: ignore[call-arg, arg-type]
         for index, array in enumerate((self._next, self.torque)):
             self._buffer.set_res(index, memoryview(array))  # type: ignore[call-arg, arg-type]
@@ -86,17 +86,17 @@ class SeriesElasticActuators:
     @property
     def theta(self) -> np.ndarray:
         """Rotor angles seen from the joints, rad."""
-        return self._rotor[: self._n]
+        return self.rotor[: self._n]
 
     @property
     def dtheta(self) -> np.ndarray:
         """Rotor velocities seen from the joints, rad/s."""
-        return self._rotor[self._n :]
+        return self.rotor[self._n :]
 
     def place(self, q: np.ndarray) -> None:
         """Put all rotors at rest with relaxed springs at joint angles ``q``."""
-        self._rotor[: self._n] = q
-        self._rotor[self._n :] = 0.0
+        self.rotor[: self._n] = q
+        self.rotor[self._n :] = 0.0
 
     def spring_torque(self, q: np.ndarray, dq: np.ndarray) -> np.ndarray:
         """Torque of the springs now, N m."""
@@ -107,11 +107,11 @@ class SeriesElasticActuators:
         self._joint[: self._n] = q
         self._joint[self._n :] = dq
         self._evaluate()
-        self._rotor[:] = self._next
+        self.rotor[:] = self._next
         return self.torque
 
     def snapshot(self) -> Any:
-        return self._rotor.copy(), self.current.copy(), self.torque.copy()
+        return self.rotor.copy(), self.current.copy(), self.torque.copy()
 
     def restore(self, state: Any) -> None:
-        self._rotor[:], self.current[:], self.torque[:] = state
+        self.rotor[:], self.current[:], self.torque[:] = state

@@ -69,10 +69,14 @@ class World:
         self._sensed = self.data.sensordata
         self._actuators = SeriesElasticActuators(robot, self._dt, config.friction_scale, compile)
         self._actuators.place(self._q)
-        self._joint_sensors = JointSensors(robot, sensors, streams)
+        actuators = self._actuators
+        self._joint_sensors = JointSensors(
+            robot, sensors, streams, compile, actuators.rotor, self._q, actuators.current
+        )
         self._imu = ImuSensor(robot, sensors, imu_rate, streams)
         self.pins_in = np.zeros((n, pins.N_INPUTS), np.int32)
         self.pins_out = np.zeros((n, pins.N_OUTPUTS), np.int32)
+        self._joint_sensors.connect(self.pins_in)
         self._limits = np.array([joint.actuator.current_limit for joint in robot.joints])
         self._steps = 0
         self._state_size = mujoco.mj_stateSize(self.model, mujoco.mjtState.mjSTATE_INTEGRATION)
@@ -87,6 +91,7 @@ class World:
     def attach_pins(self, pins_in: np.ndarray, pins_out: np.ndarray) -> None:
         """Use these arrays as the pins, e.g. in memory shared with the drives."""
         self.pins_in, self.pins_out = pins_in, pins_out
+        self._joint_sensors.connect(pins_in)
 
     @property
     def time(self) -> float:
@@ -97,9 +102,8 @@ class World:
 
     def sample(self) -> None:
         """Write the drives' input pins from the present state."""
-        loads = -self._sensed[[17, 20]]  # vertical force of each foot on the ground points down
-        actuators = self._actuators
-        self._joint_sensors.write(self.pins_in, actuators.theta, self._q, actuators.current, loads)
+        sensed = self._sensed
+        self._joint_sensors.write(self.pins_in, (-sensed[17], -sensed[20]))  # a foot's force on the ground points down
 
     def latch(self) -> None:
         """Let the drives' output pins take effect from now on; currents saturate at their limits."""

@@ -30,6 +30,7 @@ _PREFIXED = {
     "N m/s": {"N m/s": 1.0, "Nm/s": 1.0},
     "rad/s": {"rad/s": 1.0, "deg/s": math.pi / 180.0},
     "m/s": {"m/s": 1.0, "cm/s": 1e-2},
+    "ppm": {"ppm": 1.0},
 }
 
 
@@ -86,6 +87,8 @@ TorquePerRadian = _quantity("N m/rad", ge=0)
 TorquePerRate = _quantity("N m s/rad", ge=0)
 TorqueRate = _quantity("N m/s", gt=0)
 RadiansPerSecond = _quantity("rad/s")
+FrameRate = _quantity("Hz", ge=0, le=1e5)  # 0: none
+PartsPerMillion = _quantity("ppm", ge=-1e5, le=1e5)
 
 Probability = Annotated[float, Field(ge=0, le=1)]
 Gain = Annotated[float, Field(ge=0)]

@@ -25,8 +25,11 @@ class InlineJoints:
             node.attach(inputs, outputs)
         self._sent: list[list[Frame]] = []
 
-    def start(self, now_ns: int, inboxes: list[list[Frame]]) -> None:
-        self._sent = [node.tick(now_ns, inbox) for node, inbox in zip(self._nodes, inboxes, strict=True)]
+    def start(self, now_ns: int, inboxes: list[list[Frame]], idle: Sequence[int] = ()) -> None:
+        self._sent = [
+            [] if idle and joint in idle else node.tick(now_ns, inbox)
+            for joint, (node, inbox) in enumerate(zip(self._nodes, inboxes, strict=True))
+        ]
 
     def finish(self) -> list[list[Frame]]:
         return self._sent

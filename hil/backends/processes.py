@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from hil.scenario import Scenario
     from joint_firmware.firmware import JointFirmware
 
-_TICK, _SERVE_PIPE = 0, 1
+_TICK, _SERVE_PIPE, _IDLE = 0, 1, 2
 _JOINT_BLOCK = 256  # bytes: order, pins
 _TIME, _WHAT, _DONE = 0, 1, 2  # words of an order: now (ns), what to do, how many orders have been done
 
@@ -71,6 +71,7 @@ class ProcessJoints:
         self._orders = shared.orders
         self._last = shared.orders[-1]
         self._ordered = 0
+        self._idle: Sequence[int] = ()
         go = [os.eventfd(0) for _ in nodes]
         self._first = go[0]
         self._ports = [ShmPort(memory) for memory in shared.ports]  # the wire's side
@@ -83,7 +84,10 @@ class ProcessJoints:
             following = go[j + 1] if j + 1 < len(go) else None
             family.spawn(name, _joint_main, node, channels[j], port, shared.orders[j], go[j], following, theirs)
 
-    def start(self, now_ns: int, inboxes: list[list[Frame]]) -> None:
+    def start(self, now_ns: int, inboxes: list[list[Frame]], idle: Sequence[int] = ()) -> None:
+        self._idle = idle
+        for joint in idle:
+            self._orders[joint][_WHAT] = _IDLE
         for order, port, inbox in zip(self._orders, self._ports, inboxes, strict=True):
             for frame in inbox:
                 port.send_frame(frame)
@@ -92,6 +96,8 @@ class ProcessJoints:
 
     def finish(self) -> list[list[Frame]]:
         self._family.wait(self._done, "the joints")
+        for joint in self._idle:
+            self._orders[joint][_WHAT] = _TICK
         return [port.recv_frames() for port in self._ports]
 
     def _order(self) -> None:
@@ -139,7 +145,7 @@ def _joint_main(
         if order[_WHAT] == _TICK:
             for frame in tick(order[_TIME], recv_frames()):
                 send(frame)
-        else:
+        elif order[_WHAT] == _SERVE_PIPE:
             serve_pipe(node, pipe)
         order[_DONE] += 1
         if following is not None:

@@ -88,11 +88,11 @@ class ClientPorts(PortServer):
                     new.append(client)
         return new
 
-    def deliver(self, time_ns: int, sender: int, frame: Frame) -> None:
-        """Give ``frame`` to every client but its sender."""
+    def deliver(self, time_ns: int, sender: int, frame: Frame, missed: int) -> None:
+        """Give ``frame`` to every client but its sender, and the ports whose bits of ``missed`` are set."""
         record = pack_frame(frame, time_ns, sender)
         for client in self.attached.values():
-            if client.port != sender and not client.left:
+            if client.port != sender and not client.left and not missed >> client.port & 1:
                 client.give(record)
 
     def release(self, client: PortClient) -> None:

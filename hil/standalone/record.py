@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TextIO
 
 from bus.candump import format_line
-from bus.frames import Frame
+from bus.frames import ErrorFrame, Frame
 
 LARGEST = 256 << 20  # bytes of a log; then a new one begins, and the one before the last is dropped
 _FRAMES, _EVENTS = "frames.log", "events.log"
@@ -36,8 +36,8 @@ class Record:
         self._frames: TextIO = self._path.open("w", encoding="ascii")
         self._size = 0
 
-    def frame(self, time_ns: int, frame: Frame) -> None:
-        """A frame that the bus delivered at ``time_ns``."""
+    def frame(self, time_ns: int, frame: Frame | ErrorFrame) -> None:
+        """A frame that the bus delivered at ``time_ns``, or an error frame of one of its nodes."""
         if self.failure is None:
             line = format_line(time_ns, self._bus, frame)
             try:

@@ -16,8 +16,10 @@ from typing import Any
 
 from bus.config import BusConfig
 from bus.link import NEVER
+from bus.records import ControllerState, pack_error
 from bus.wire import Wire
 from hil.errors import UserError
+from hil.injection import of_bus
 from hil.lateness import Lateness
 from hil.scenario import parse_value
 from hil.standalone.clients import ClientPorts, PortClient
@@ -29,6 +31,12 @@ _FLUSH_NS = 100_000_000
 _LOAD_SAMPLES = 11  # one per flush: the load of the last second
 _SPIN_NS = 40_000  # a sleeper wakes this much too late: sleep short, then look again and again
 _PR_SET_TIMERSLACK = 29
+
+
+def injectable(name: str) -> list[str]:
+    """Keys of what can be injected into the stand-alone bus ``name``: what its wire does. It has no nodes of its own
+    that could babble."""
+    return [key for key in of_bus(name) if ".babble." not in key and ".background." not in key]
 
 
 class _Requests(deque[Callable[[], None]]):
@@ -113,14 +121,18 @@ class StandaloneBus:
         for delivery in deliveries:
             time_ns, frame = delivery.time, delivery.frame
             self.lateness.add(now - due)
-            ports.deliver(time_ns, delivery.sender, frame)
+            ports.deliver(time_ns, delivery.sender, frame, delivery.missed)
             key = (frame.id, frame.extended)
             self._delivered[key] = self._delivered.get(key, 0) + 1
             if self.record is not None:
                 self.record.frame(time_ns, frame)
             if self._flush_at == NEVER:
                 self._flush_at = now + _FLUSH_NS
-        # MERGE wire errors: tell wire.error_frames() and wire.ports_state(client.port) to the client of each port
+        for at, port, error in wire.error_frames():
+            if port in ports.attached:
+                ports.attached[port].give(pack_error(error, at, port))
+            if self.record is not None:
+                self.record.frame(at, error)
         for client in tuple(self._busy_clients):
             if client.in_wire > wire.waiting(client.port):
                 client.completed(due, [delivery.frame for delivery in deliveries if delivery.sender == client.port])
@@ -155,6 +167,8 @@ class StandaloneBus:
     def _serve(self, client: PortClient, now: int) -> None:
         """Offer what ``client`` wants on the bus, as far as its transmit queue has room."""
         wire, port = self._wire, client.port
+        if not client.left:
+            client.tell_state(ControllerState(*wire.ports_state(port)))
         for frame in client.due(now):
             if frame.fd and not self.fd:
                 self.misfits += 1
@@ -185,13 +199,13 @@ class StandaloneBus:
         if self.record is not None:
             self.record.flush()
 
-    def inject(self, key: str, value: str | float) -> float:
+    def inject(self, key: str, value: str | float) -> Any:
         """Change one impairment from now on. Returns its value in SI units; raises UserError for a wrong one."""
-        target, _, quantity = key.rpartition(".")
-        if target != f"bus.{self.name}":
-            raise UserError(f"{key}: a stand-alone bus has no {target!r}, only bus.{self.name}")
         parsed = parse_value(key, value)
-        self._wire.set(quantity, parsed)
+        try:
+            self._wire.set(key.removeprefix(f"bus.{self.name}."), parsed)
+        except (KeyError, ValueError) as error:
+            raise UserError(f"{key} = {value}: nothing to inject ({error})") from None
         self.injected.append({"time_s": self.now_ns * 1e-9, "key": key, "value": str(value)})
         self.log(f"injected {key} = {value}")
         return parsed

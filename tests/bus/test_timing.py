@@ -8,28 +8,7 @@ from hypothesis import strategies as st
 
 from bus.frames import CAN_FD_LENGTHS, Frame, InvalidFrameError
 from bus.timing import TAIL, BitRates, frame_bits, frame_ns
-
-
-def contents(length: int) -> st.SearchStrategy[bytes]:
-    """Random content mixed with runs of equal bits, which is what stuffing is about."""
-    runs = st.sampled_from([b"\x00", b"\xff", b"\x0f", b"\x1f", b"\x07", b"\xf8", b"\xe1"])
-    piece = st.one_of(runs, st.binary(min_size=1, max_size=1))
-    return st.lists(piece, min_size=length, max_size=length).map(b"".join)
-
-
-def identifiers(extended: bool) -> st.SearchStrategy[int]:
-    top = 2**29 - 1 if extended else 2**11 - 1
-    return st.one_of(st.integers(0, top), st.sampled_from([0, top, 0x180, 0x200, 0x0F8]))
-
-
-@st.composite
-def frames(draw: st.DrawFn) -> Frame:
-    extended = draw(st.booleans())
-    fd = draw(st.booleans())
-    length = draw(st.sampled_from(CAN_FD_LENGTHS if fd else range(9)))
-    brs = fd and draw(st.booleans())
-    return Frame(draw(identifiers(extended)), draw(contents(length)), fd, brs, extended)
-
+from tests.bus.frame_strategy import contents, frames, identifiers
 
 # --- an independent sender: lists of (bit, rate) ------------------------------------------------------------
 
@@ -63,10 +42,10 @@ def crc15(sequence: list[int]) -> int:
 def whole_frame(frame: Frame) -> list[tuple[int, str]]:
     slow, fast = "slow", "fast" if frame.brs else "slow"
     if frame.extended:
-        address = [0, *bits_of(frame.id >> 18, 11), 1, 1, *bits_of(frame.id & 0x3FFFF, 18), 0]
+        address = [0, *bits_of(frame.id >> 18, 11), 1, 1, *bits_of(frame.id & 0x3FFFF, 18), int(frame.remote)]
     else:
-        address = [0, *bits_of(frame.id, 11), 0, 0]
-    payload = [b for byte in frame.data for b in bits_of(byte, 8)]
+        address = [0, *bits_of(frame.id, 11), int(frame.remote), 0]
+    payload = [] if frame.remote else [b for byte in frame.data for b in bits_of(byte, 8)]
     dlc = bits_of(CAN_FD_LENGTHS.index(len(frame.data)), 4)
     tail = [(1, slow)] * (1 + 1 + 7 + 3)
     if not frame.fd:
@@ -74,7 +53,7 @@ def whole_frame(frame: Frame) -> list[tuple[int, str]]:
         unstuffed += bits_of(crc15(unstuffed), 15)
         return [*stuffed([(b, slow) for b in unstuffed], final=True), (1, slow), *tail]
     head = [(b, slow) for b in [*address, 1, 0, int(frame.brs)]]
-    dynamic = stuffed([*head, *[(b, fast) for b in [0, *dlc, *payload]]], final=False)
+    dynamic = stuffed([*head, *[(b, fast) for b in [int(frame.esi), *dlc, *payload]]], final=False)
     check = [0] * (4 + (17 if len(frame.data) <= 16 else 21))  # their values do not matter to the length
     checked: list[tuple[int, str]] = []
     for n, bit in enumerate(check):
@@ -161,6 +140,7 @@ def test_times_are_rounded_up_once(slow: int, fast: int, arbitration: float, dat
 @pytest.mark.parametrize("frame", [
     Frame(0x800, b""), Frame(-1, b""), Frame(2**29, b"", extended=True), Frame(1, bytes(9)),
     Frame(1, bytes(9), fd=False, brs=False), Frame(1, b"", fd=False, brs=True),
+    Frame(1, b"", remote=True), Frame(1, b"", fd=False, brs=False, esi=True),
 ])  # fmt: skip
 def test_impossible_frames_are_refused(frame: Frame) -> None:
     with pytest.raises(InvalidFrameError):

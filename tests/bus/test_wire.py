@@ -1,4 +1,4 @@
-"""The wire: to the nanosecond, arbitration against sorting, errors and retransmission, restoring."""
+"""The wire when all is well, and its queues: to the nanosecond, arbitration against sorting, restoring."""
 
 import pickle
 
@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from bus.config import BusConfig
 from bus.frames import Frame, InvalidFrameError
 from bus.link import NEVER
-from bus.timing import INTERMISSION, TAIL, BitRates, frame_bits, frame_ns
+from bus.timing import INTERMISSION, frame_ns
 from bus.wire import QUEUE, Delivery, Wire
 from hil.streams import streams
 
@@ -63,50 +63,54 @@ def test_the_next_frame_starts_after_the_intermission() -> None:
 
 
 payloads = st.sampled_from([b"", b"\x01" * 8, bytes(24), b"\xaa" * 64])
-frames = st.tuples(st.integers(0, 0x7FF), payloads).map(lambda f: Frame(*f))
+# every port has identifiers of its own, as on a real bus
+offers = st.tuples(st.integers(0, 4), st.integers(0, 0x7FF // 5 - 1), payloads).map(
+    lambda o: (o[0], Frame(5 * o[1] + o[0], o[2]))
+)
 
 
-@given(st.lists(st.tuples(st.integers(0, 4), frames), min_size=1, max_size=QUEUE))
-def test_frames_offered_at_once_go_by_identifier_port_and_order(offers: list[tuple[int, Frame]]) -> None:
+@given(st.lists(offers, min_size=1, max_size=QUEUE))
+def test_frames_offered_at_once_go_by_identifier_and_order(offers: list[tuple[int, Frame]]) -> None:
     one = wire()
     for port, frame in offers:
         one.offer(0, port, frame)
     delivered = run(one)
-    expected = sorted(offers, key=lambda o: (o[1].id, o[0]))  # a stable sort: ties keep the order of offering
+    expected = sorted(offers, key=lambda o: o[1].id)  # a stable sort: ties keep the order of offering
     assert [(d.sender, d.frame) for d in delivered] == expected
     now = 0
     for d in delivered:
-        assert d.time == now + duration(d.frame)
+        assert d.time == now + duration(d.frame) and d.missed == 0
         now = d.time + 3 * BIT
     waits = one.waits()
     assert sum(w.frames for w in waits.values()) == len(offers)
     last_started = now - frame_ns(expected[-1][1], 1e6, 5e6)
     assert max(w.longest for w in waits.values()) == one.longest_wait_ns == last_started
     assert all(w.shortest <= w.mean <= w.longest for w in waits.values())
+    assert one.collisions == one.errors == 0 and one.error_frames() == []
 
 
-@given(st.integers(0, 2**29 - 1), st.integers(0, 2**11 - 1), st.integers(0, 2**29 - 1))
-def test_arbitration_compares_the_bits_as_they_are_sent(a: int, b: int, c: int) -> None:
-    def sent_bits(frame: Frame) -> str:  # dominant 0 wins; RTR of base and SRR, IDE of extended frames
+addresses = st.one_of(
+    st.tuples(st.integers(0, 2**29 - 1), st.just(True), st.booleans()),
+    st.tuples(st.integers(0, 2**11 - 1), st.just(False), st.booleans()),
+    st.sampled_from([(0x155, False, r) for r in (False, True)]),
+    st.sampled_from([(0x155 << 18 | n, True, r) for r in (False, True) for n in (0, 5, 0x3FFFF)]),
+)
+
+
+@given(st.lists(addresses, min_size=1, max_size=5, unique=True))
+def test_arbitration_compares_the_bits_as_they_are_sent(wanted: list[tuple[int, bool, bool]]) -> None:
+    def sent_bits(frame: Frame) -> str:
+        """Dominant 0 wins. RTR, IDE and r0 of base, SRR, IDE, RTR of extended frames."""
         if frame.extended:
-            return f"{frame.id >> 18:011b}11{frame.id & 0x3FFFF:018b}0"
-        return f"{frame.id:011b}00"
+            return f"{frame.id >> 18:011b}11{frame.id & 0x3FFFF:018b}{frame.remote:d}"
+        return f"{frame.id:011b}{frame.remote:d}00"
 
-    long, short = (Frame(i, b"", extended=True) for i in (a, c)), (Frame(i, b"") for i in (b, a >> 18))
-    contenders = [*long, *short]
+    contenders = [Frame(i, b"", False, False, extended, remote) for i, extended, remote in wanted]
     one = wire()
     for port, frame in enumerate(contenders):
         one.offer(0, port, frame)
-    expected = sorted(enumerate(contenders), key=lambda o: (sent_bits(o[1]), o[0]))
-    assert [d.frame for d in run(one)] == [frame for _, frame in expected]
-
-
-def test_equal_identifiers_of_two_ports_are_counted() -> None:
-    one = wire()
-    one.offer(0, 3, Frame(0x10, b"\x03"))
-    one.offer(0, 2, Frame(0x10, b"\x02"))
-    assert [d.sender for d in run(one)] == [2, 3]
-    assert one.collisions == 1
+    assert [d.frame for d in run(one)] == sorted(contenders, key=sent_bits)
+    assert one.errors == 0
 
 
 def test_a_frame_under_way_is_not_interrupted_by_a_higher_priority() -> None:
@@ -115,51 +119,6 @@ def test_a_frame_under_way_is_not_interrupted_by_a_higher_priority() -> None:
     one.advance(0)
     one.offer(1, 1, Frame(0x001, b""))
     assert [d.frame.id for d in run(one)] == [0x700, 0x001]
-
-
-def test_a_damaged_frame_is_followed_by_an_error_frame_and_sent_again() -> None:
-    one, frame = wire(bit_error_rate=1.0), Frame(0x181, bytes(24))  # every first bit is damaged
-    one.offer(0, 1, frame)
-    one.offer(0, 1, frame._replace(data=b"\x01" * 24))  # of the same identifier: must not overtake
-    one.advance(0)
-    assert one.next_time() == BIT
-    assert one.advance(BIT) == []
-    assert one.errors == 1
-    # flag 6, echo 6, delimiter 8, intermission 3
-    restart = BIT + 23 * BIT
-    assert one.next_time() == restart
-    one.set("bit_error_rate", 0.0)
-    delivered = run(one)
-    assert delivered[0] == Delivery(restart + duration(frame), 1, frame)
-    assert delivered[1].frame.data == b"\x01" * 24
-    assert one.sent == 2 and one.waits()[0x181, False].shortest == restart
-    assert one.busy_ns == restart + sum(frame_ns(d.frame, 1e6, 5e6) for d in delivered)
-
-
-@given(st.integers(0, 10_000))
-@settings(max_examples=30)
-def test_bit_errors_delay_frames_but_lose_none(seed: int) -> None:
-    noisy = wire(seed, bit_error_rate=2e-3)
-    sent = [Frame(0x180 + n, bytes([n]) * 24) for n in range(20)]
-    for frame in sent:
-        noisy.offer(0, 1, frame)
-    delivered = run(noisy)
-    assert [d.frame for d in delivered] == sent
-    assert noisy.sent == 20
-    clean = sum(frame_ns(frame, 1e6, 5e6) for frame in sent)
-    longest = max(map(duration, sent))
-    assert noisy.errors * 24 * BIT <= noisy.busy_ns - clean <= noisy.errors * (23 * BIT + longest)
-
-
-@given(st.integers(0, 0x7FF), st.binary(min_size=24, max_size=24))
-def test_the_time_of_a_bit_grows_to_the_duration_of_the_frame(identifier: int, data: bytes) -> None:
-    frame, rates = Frame(identifier, data), BitRates(1e6, 5e6)
-    bits = frame_bits(frame)
-    total = bits.slow + bits.fast + TAIL - INTERMISSION
-    ends = [rates.ns_until(bit, bits) for bit in range(total)]
-    steps = [b - a for a, b in zip([0, *ends[:-1]], ends, strict=True)]
-    assert steps == [1000] * bits.slow + [200] * bits.fast + [1000] * (TAIL - INTERMISSION)
-    assert ends[-1] == duration(frame)
 
 
 def test_delay_jitter_and_loss_apply_to_deliveries_only() -> None:
@@ -171,7 +130,7 @@ def test_delay_jitter_and_loss_apply_to_deliveries_only() -> None:
     assert second.time - first.time == frame_ns(frame, 1e6, 5e6)  # the bus went on meanwhile
     deaf = wire(loss=1.0)
     deaf.offer(0, 0, frame)
-    assert run(deaf) == [] and (deaf.sent, deaf.lost) == (1, 1)
+    assert run(deaf) == [] and (deaf.sent, deaf.lost, deaf.traffic()[0x100, False].lost) == (1, 1, 1)
     shaken = wire(jitter="5ms")
     for n in range(QUEUE):
         shaken.offer(0, 0, Frame(0x100 + n, b""))
@@ -179,14 +138,57 @@ def test_delay_jitter_and_loss_apply_to_deliveries_only() -> None:
     assert sorted(order) == [0x100 + n for n in range(QUEUE)] and order != sorted(order)
 
 
-def test_a_full_transmit_queue_refuses_and_empties_again() -> None:
-    one, frame = wire(), Frame(0x181, b"")
+@pytest.mark.parametrize("queue", ["priority", "fifo"])
+def test_a_full_transmit_queue_refuses_and_empties_again(queue: str) -> None:
+    one, frame = wire(queue=queue), Frame(0x181, b"")
     assert all(one.offer(0, 1, frame) for _ in range(QUEUE))
     assert not one.offer(0, 1, frame)
     assert one.refused == 1
-    assert one.offer(0, 2, frame)  # another port's queue is its own
+    assert one.offer(0, 2, Frame(0x182, b""))  # another port's queue is its own
     assert len(run(one)) == QUEUE + 1
     assert one.offer(10**9, 1, frame)
+
+
+def test_mailboxes_go_by_priority_and_a_fifo_inverts_it() -> None:
+    """A node's urgent frame behind its lazy one: by mailboxes it goes first; in a FIFO it waits until the middling
+    frames of another node are through, which the lazy one loses to."""
+    lazy, middling, urgent = (Frame(i, b"\x55" * 8) for i in (0x600, 0x300, 0x100))
+    order = {}
+    for queue in ("priority", "fifo"):
+        one = wire(queue=queue)
+        one.offer(0, 0, lazy)
+        one.offer(0, 0, urgent)
+        for _ in range(3):
+            one.offer(0, 1, middling)
+        order[queue] = [d.frame.id for d in run(one)]
+        assert one.waits()[0x100, False].longest == (0 if queue == "priority" else 4 * frame_ns(lazy, 1e6, 5e6))
+    assert order["priority"] == [0x100, 0x300, 0x300, 0x300, 0x600]
+    assert order["fifo"] == [0x300, 0x300, 0x300, 0x600, 0x100]
+
+
+@given(st.lists(offers, min_size=1, max_size=QUEUE))
+def test_a_fifo_keeps_the_order_of_each_port(offers: list[tuple[int, Frame]]) -> None:
+    one = wire(queue="fifo")
+    for port, frame in offers:
+        one.offer(0, port, frame)
+    left = {port: [frame for sender, frame in offers if sender == port] for port in range(5)}
+    for d in run(one):
+        heads = {port: frames[0] for port, frames in left.items() if frames}
+        assert d.frame.id == min(frame.id for frame in heads.values()) and d.frame == left[d.sender].pop(0)
+    assert not any(left.values())
+
+
+def test_waiting_times_come_as_percentiles() -> None:
+    one, frame = wire(), Frame(0x181, b"\x55" * 24)
+    for _ in range(20):
+        one.offer(0, 1, frame)
+    run(one)
+    traffic = one.traffic()[0x181, False]
+    each = frame_ns(frame, 1e6, 5e6)
+    assert (traffic.sent, traffic.lost, traffic.retransmitted) == (20, 0, 0)
+    assert traffic.wait.percentile(5) == 0 and traffic.wait.percentile(100) == 19 * each == traffic.wait.longest
+    for n in range(20):
+        assert n * each <= traffic.wait.percentile(5 * (n + 1)) <= n * each * (1 + 1 / 16)
 
 
 def test_a_restored_wire_knows_how_full_its_queues_are() -> None:
@@ -215,6 +217,8 @@ def test_a_restored_wire_continues_identically(seed: int, steps: int) -> None:
     one = loaded(seed)
     for n in range(40):
         one.offer(0, n % 5, Frame(0x100 + 7 * n % 40, bytes([n]) * 8))
+    one.cut(4, True, 0)
+    one.damage(0x107, 2, "data:3")
     for _ in range(steps):
         if one.next_time() == NEVER:
             break

@@ -14,7 +14,6 @@ from typing import Any
 
 import can
 import pytest
-from standalone_processes import PATIENCE_S, hil, start, unique, wait_for
 
 from bus.frames import Frame
 from bus.port_client import peer
@@ -23,6 +22,7 @@ from bus.records import pack_frame
 from bus.timing import frame_ns
 from hil.cli import main
 from hil.standalone.control import buses
+from tests.support.standalone_processes import PATIENCE_S, hil, start, unique, wait_for
 
 RATES = {"arbitration_rate": 1e6, "data_rate": 5e6}
 
@@ -209,7 +209,7 @@ def test_what_cannot_be_injected_is_refused(lab: tuple[str, int], tmp_path: Path
         (f"bus.{name}.dela", "1ms", "did you mean"),
         (f"bus.{name}.delay", "1", "has no unit"),
         (f"bus.{name}.loss", "2", "at most 1"),
-        ("link.state.delay", "1ms", f"only bus.{name}"),
+        ("link.state.delay", "1ms", "unknown key"),
     ):
         result = hil("inject", key, value, "--run", name, state=tmp_path)
         assert (result.returncode, result.stdout) == (2, "") and part in result.stderr, result.stderr

@@ -235,8 +235,17 @@ def test_scenarios_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
 
 def test_the_injectable_keys_are_listed_with_meaning_and_range(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["inject", "--list"]) == 0
-    lines = capsys.readouterr().out.splitlines()
-    assert len(lines) == 16 and {line.split()[0].rpartition(".")[0] for line in lines} == {
-        "link.state", "link.command", "bus.left_leg", "bus.right_leg"
-    }  # fmt: skip
-    assert all(re.search(r"0 to 1|at least 0", line) for line in lines)
+    head, *lines = capsys.readouterr().out.splitlines()
+    assert head.split() == ["KEY", "RANGE", "DEFAULT", "MEANING"]
+    columns = [head.index(word) for word in head.split()]
+    for line in lines:
+        key, range_, default, meaning = (line[a:b].strip() for a, b in zip(columns, [*columns[1:], None], strict=True))
+        assert re.fullmatch(r"(link|bus)\.[a-z_.]+", key) and len(meaning) > 3, line
+        assert default or key.endswith(".damage"), line
+        assert re.search(r"^-?[\d.e+]+ to [\d.e+]+( \w+)?$|, |true or false|^IDENTIFIER BIT", range_), line
+    assert main(["inject", "--list", "bus.left_leg.node.left_knee"]) == 0
+    part = capsys.readouterr().out.splitlines()[1:]
+    assert [line.split()[0].rpartition(".")[2] for line in part] == [
+        "cut", "stuck_dominant", "listen_only", "one_shot", "restart", "bit_rate", "node_id", "drift"
+    ]  # fmt: skip
+    assert "did you mean 'bus.left_leg" in refused(capsys, "inject", "--list", "bus.left_lg.delay")

@@ -1,6 +1,7 @@
 """Changing a run that is going on, from another process."""
 
 import json
+import re
 import signal
 import subprocess
 import sys
@@ -19,6 +20,7 @@ from hil.errors import UserError
 from hil.injection import injectable
 from hil.run import Request, run
 from hil.scenario import load, parse_value
+from robots import description
 
 
 def hil(*arguments: str) -> subprocess.CompletedProcess[str]:
@@ -158,11 +160,26 @@ def test_a_scheduled_injection_is_applied_at_its_time_and_changes_the_run() -> N
     assert (before.data[same] == after.data[same]).all()
 
 
-def test_every_injectable_key_is_one_of_the_scenarios_and_explained() -> None:
-    listed = dict(keys_of_all_robots())
-    assert list(listed) == injectable(["left_leg", "right_leg"])
-    for key, meaning in listed.items():
-        assert meaning
-        assert parse_value(key, 0) == 0.0
-        with pytest.raises(UserError, match=key):
-            parse_value(key, "-1s" if "delay" in key or "jitter" in key else "-1")
+def test_every_injectable_key_is_one_of_the_scenarios_and_keeps_its_range() -> None:
+    listed = injectable(description.load("hume"))
+    assert listed == keys_of_all_robots() and len(listed) == len(set(listed)) > 90
+    for key, entry in listed.items():
+        assert parse_value(key, entry.written(entry.default)) == entry.default, key
+        bounds = re.fullmatch(r"(\S+) to (\S+?)( \w+)?", entry.range)
+        if entry.default == "":
+            assert parse_value(key, "0x182 crc:3") == "0x182 crc:3" and parse_value(key, "5 17 2") == "5 17 2"
+            beyond = ["0x182", "crc:3", "0x182 crc:3 x", "-1 2"]
+        elif bounds is None:  # a choice
+            for choice in re.split(r", | or ", entry.range):
+                assert str(parse_value(key, choice)).lower() == choice, key
+            beyond = ["9.5", "maybe"]
+        else:
+            low, high, unit = float(bounds[1]), float(bounds[2]), bounds[3] or ""
+            whole = isinstance(entry.default, int)
+            for value in (low, high):
+                assert parse_value(key, f"{value:g}{unit}") == value, key
+            step = 1 if whole else 1e-3
+            beyond = [f"{low - step:.12g}{unit}", f"{high + step:.12g}{unit}"]
+        for value in beyond:
+            with pytest.raises(UserError, match=key):
+                parse_value(key, value)

@@ -12,7 +12,6 @@ from pathlib import Path
 
 import can
 import pytest
-from standalone_processes import PATIENCE_S, Master, hil, start, unique
 
 from bus import messages
 from bus.messages import Controlword, Statusword
@@ -24,6 +23,7 @@ from joint_firmware.firmware import JointFirmware
 from plant.bench import Bench, Locked
 from plant.config import SensorConfig
 from robots import description, pins
+from tests.support.standalone_processes import PATIENCE_S, Master, hil, start, unique
 
 HUME = description.load("hume")
 

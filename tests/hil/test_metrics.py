@@ -107,6 +107,19 @@ def test_errors_of_the_centre_of_mass_are_those_after_settling() -> None:
     assert metrics["com_error_max_estimated"] == pytest.approx(0.01)
 
 
+def test_errors_count_from_where_the_feet_stand_and_not_from_where_they_hung() -> None:
+    """The controller knows only its feet: both find their place on the panels until the hoist lets go at 1 s."""
+    run = Run()
+    for name in ("foot.right_foot", "foot.left_foot", "com"):
+        run.world[f"{name}.x"][run.t >= 0.9] += 0.06
+        run.world[f"{name}.z"][run.t >= 0.9] -= 0.08
+    assert run.metrics()["com_error_max"] == pytest.approx(0.0, abs=1e-12)
+    assert run.monitor() is None
+    run.world["com.x"][run.t >= 4.0] += 0.06  # beyond the limit of 5 cm, the feet stay
+    assert run.metrics()["com_error_max"] == pytest.approx(0.06)
+    assert run.monitor() == (4000, "CoM error 60.0 mm (limit 50.0 mm) at 4.00 s")
+
+
 def test_there_is_no_error_before_there_is_a_reference() -> None:
     """The controller's row holds zeros until it leaves its first phase."""
     run = Run()

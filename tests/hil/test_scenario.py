@@ -56,6 +56,8 @@ def values_of(kind: Any, metadata: tuple[Any, ...] = ()) -> st.SearchStrategy[An
                 high = min(at, high)
             case annotated_types.Lt(lt=at):
                 high = at - 1e-3
+    if kind is int:
+        return st.integers(int(low), int(high))
     numbers = st.floats(low, high)
     return numbers.map(lambda v: f"{v!r} {extras[0]['unit']}") if extras else numbers
 
@@ -64,6 +66,8 @@ def tables_of(model: type[BaseModel]) -> st.SearchStrategy[dict[str, Any]]:
     fields = {name: values_of(field.annotation, (field,)) for name, field in model.model_fields.items()}
     if model is Scenario:
         fields["name"] = st.just("any name")
+    if "damage" in fields:
+        fields["damage"] = st.sampled_from(["", "0x182 crc:3", "5 17 2"])
     required = {name: s for name, s in fields.items() if model.model_fields[name].is_required()}
     optional = {name: s for name, s in fields.items() if name not in required}
     return st.fixed_dictionaries(required, optional=optional)
@@ -127,7 +131,7 @@ def test_a_value_is_parsed_as_the_scenario_would(value: float, unit: tuple[str, 
 def test_any_key_and_value_is_read_or_refused(key: str, value: Any) -> None:
     for name in (key, "link.command.delay", "bus.left_leg.loss", "world.variant"):
         try:
-            assert isinstance(parse_value(name, value), float)
+            assert isinstance(parse_value(name, value), float | int | str)
         except UserError as error:
             assert len(str(error)) < 1000
 
@@ -165,9 +169,28 @@ MISTAKES = {
     "link.command.loss=1.5": "link.command.loss = 1.5: expected at most 1",
     "link.command.loss=often": "link.command.loss = 'often': expected a finite number",
     "link.command.loss=nan": "link.command.loss = nan: expected a finite number",
-    "link.command=3": "link.command = 3: expected a table with delay, jitter, loss, bit_error_rate",
-    "bus.left_leg=3": "bus.left_leg = 3: expected a table with delay, jitter, loss, bit_error_rate, arbitration_rate, "
-    "data_rate",
+    "link.command=3": "link.command = 3: expected a table with delay, jitter, jitter_shape, loss, burst, "
+    "bit_error_rate, corruption, duplicate, reorder",
+    "bus.left_leg=3": "bus.left_leg = 3: expected a table with delay, jitter, jitter_shape, loss, burst, "
+    "bit_error_rate, corruption, duplicate, reorder, arbitration_rate, data_rate, queue, bus_off_recovery, "
+    "damage, babble, background, node",
+    "link.command.burst.entr=1": "unknown key 'link.command.burst.entr'; did you mean 'link.command.burst.enter'?",
+    "link.command.jitter_shape=cauchy": "link.command.jitter_shape = 'cauchy': expected 'uniform', 'normal', "
+    "'exponential', 'lognormal' or 'pareto'",
+    "bus.left_leg.babble.identifier=0x800": "bus.left_leg.babble.identifier = 2048: expected at most 2047",
+    "bus.left_leg.babble.identifier=x": "bus.left_leg.babble.identifier = 'x': expected a whole number",
+    "bus.left_leg.babble.rate=1MHz": "bus.left_leg.babble.rate = '1MHz': expected at most 100000 Hz",
+    "bus.left_leg.background.load=1": "bus.left_leg.background.load = 1: expected at most 0.99",
+    "bus.left_leg.background.length=9": "bus.left_leg.background.length = 9: expected 0, 1, 2, 3, 4, 5, 6, 7, 8, 12, "
+    "16, 20, 24, 32, 48 or 64",
+    "bus.left_leg.damage=182h crc": "bus.left_leg.damage = '182h crc': expected \"IDENTIFIER BIT\" or "
+    "\"IDENTIFIER BIT ATTEMPT\", for example \"0x182 crc:3\"",
+    "bus.left_leg.node.left_knee.cut=2": "bus.left_leg.node.left_knee.cut = 2: expected true or false",
+    "bus.left_leg.node.left_knee.drift=5": "bus.left_leg.node.left_knee.drift = 5: 5 has no unit: write one of ppm, "
+    'for example "5ppm"',
+    "bus.left_leg.node.left_kne.cut=true": "unknown key 'bus.left_leg.node.left_kne'; did you mean "
+    "'bus.left_leg.node.left_knee'?",
+    "bus.left_leg.node.gateway.drift=5ppm": "bus.left_leg.node.gateway.drift: only joints have this fault",
     "bus=3": "bus = 3: expected a table of tables",
     "push=3": "push = 3: expected a list",
     "push=[{at='1s', duration='1s', force=['1N']}]": "push.0.force = ['1N']: expected 3 values",
@@ -200,6 +223,12 @@ MISTAKES = {
     "inject=[{at='1s', key='link.command.loss', value=2}]": "inject.0.value: link.command.loss = 2.0: "
     "expected at most 1",
     "inject=[{at='1s', key='link.command.loss', value=[2]}]": "inject.0.value = [2]: expected a text in quotes",
+    "inject=[{at='1s', key='bus.left_leg.node.left_knee.ct', value=true}]": "inject.0.key = "
+    "'bus.left_leg.node.left_knee.ct': no such key; did you mean 'bus.left_leg.node.left_knee.cut'?",
+    "inject=[{at='2s', until='1s', key='link.command.loss', value=1}]": "inject.0.until = 1 s: expected more than its "
+    "at, 2 s",
+    "inject=[{at='2s', until='4s', key='link.command.loss', value=1}, {at='3s', key='link.command.loss', value=0}]":
+    "inject.1.at = 3 s: link.command.loss is under inject.0 until 4 s",
 }
 
 

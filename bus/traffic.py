@@ -1,0 +1,77 @@
+"""What became of the frames of one identifier: counts, and how long they waited for the bus."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+_FINE = 5  # bits that a bucket of the histogram resolves: buckets are at most 1/16 wide
+
+
+class Wait(NamedTuple):
+    """How long the frames of one identifier waited for the bus, ns, until the attempt that got through started."""
+
+    frames: int
+    shortest: int
+    mean: float
+    longest: int
+    buckets: tuple[tuple[int, int], ...] = ()  # of the histogram: number, frames
+
+    def percentile(self, percent: float) -> int:
+        """Waiting time in ns that ``percent`` of the frames do not exceed, at most 1/16 too large; 0 without frames."""
+        left = percent * self.frames / 100
+        for bucket, frames in self.buckets:
+            left -= frames
+            if left <= 0:
+                shift, mantissa = bucket >> _FINE, bucket & (1 << _FINE) - 1
+                return min((mantissa + 1 << shift) - 1, self.longest)
+        return self.longest
+
+
+class Traffic:
+    """Frames of one identifier.
+
+    sent: that got through. lost: that got through and vanished (an impairment), or were given up in one-shot mode.
+    retransmitted: attempts that failed and were repeated. Waiting times fall into buckets of 1/16 relative width.
+    """
+
+    __slots__ = ("_buckets", "_longest", "_shortest", "_sum", "lost", "retransmitted", "sent")
+
+    def __init__(self) -> None:
+        self.sent = self.lost = self.retransmitted = 0
+        self._sum = self._longest = 0
+        self._shortest = 1 << 62
+        self._buckets: dict[int, int] = {}
+
+    def note_sent(self, wait: int) -> None:
+        """One more frame that got through, after ``wait`` ns."""
+        self.sent += 1
+        self._sum += wait
+        if wait > self._longest:
+            self._longest = wait
+        if wait < self._shortest:
+            self._shortest = wait
+        bucket = wait
+        if wait >> _FINE:
+            shift = wait.bit_length() - _FINE
+            bucket = shift << _FINE | wait >> shift
+        buckets = self._buckets
+        buckets[bucket] = buckets.get(bucket, 0) + 1
+
+    @property
+    def wait(self) -> Wait:
+        """Of the frames that got through; all zero when there is none."""
+        if not self.sent:
+            return Wait(0, 0, 0.0, 0)
+        buckets = tuple(sorted(self._buckets.items()))
+        return Wait(self.sent, self._shortest, self._sum / self.sent, self._longest, buckets)
+
+    def snapshot(self) -> tuple[Any, ...]:
+        counts = self.sent, self.lost, self.retransmitted
+        return (*counts, self._sum, self._shortest, self._longest, dict(self._buckets))
+
+    @classmethod
+    def restored(cls, state: tuple[Any, ...]) -> Traffic:
+        one = cls()
+        one.sent, one.lost, one.retransmitted, one._sum, one._shortest, one._longest, buckets = state
+        one._buckets = dict(buckets)
+        return one

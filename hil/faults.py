@@ -1,0 +1,148 @@
+"""The faults of nodes, and the nodes that only disturb: where each takes effect in a run."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from typing import Any
+
+from bus.frames import BASE_ID_LIMIT
+from bus.impairment import NEVER
+from bus.link import Link
+from bus.talkers import Babbler, BackgroundTraffic, Talker
+from bus.wire import Wire
+from hil.errors import UserError
+from hil.injection import GATEWAY, Set
+from hil.scenario import Scenario
+from hil.senders import Senders
+from hil.streams import StreamFactory
+from robots.description import Robot
+
+# Faults of a node that are the wire's: its method, which takes port, value and time.
+_ON_THE_WIRE = {
+    "cut": "cut", "stuck_dominant": "stuck_dominant", "listen_only": "listen_only", "one_shot": "one_shot",
+    "bit_rate": "bit_rate_error",
+}  # fmt: skip
+
+
+def _of_wire(wire: Any, method: str) -> Any:
+    """A wire's method. Raises UserError for a wire that has no such fault."""
+    if not hasattr(wire, method):
+        raise UserError(f"this wire has no fault {method!r}")
+    return getattr(wire, method)
+
+
+class NodeSetter:
+    """Takes the injected values of the node at ``port`` of ``wire``; ``joint``: its number, None for the gateway.
+
+    ticks: how often the joints have ticked so far.
+    """
+
+    def __init__(
+        self, wire: Any, port: int, joint: int | None, senders: Senders | None, ticks: Callable[[], int] = lambda: 0
+    ) -> None:
+        self._wire, self._port = wire, port
+        self._joint, self._senders, self._ticks = joint, senders, ticks
+
+    def __call__(self, key: str, value: Any, now_ns: int) -> None:
+        """Set ``key`` to ``value``. Raises KeyError for a key that this node has not."""
+        if key in _ON_THE_WIRE:
+            _of_wire(self._wire, _ON_THE_WIRE[key])(self._port, value, now_ns)
+        elif key == "restart":
+            if value:
+                _of_wire(self._wire, "restart")(self._port, now_ns)
+        elif self._joint is None or self._senders is None:
+            raise KeyError(key)
+        elif key == "node_id":
+            self._senders.set_node_id(self._joint, value)
+        elif key == "drift":
+            self._senders.set_drift(self._joint, value, self._ticks())
+        else:
+            raise KeyError(key)
+
+
+class Faults:
+    """What is wrong with the nodes of a run: senders off their time or identifier, and talkers on every bus.
+
+    Event driven: ``next_ns`` tells when ``advance`` has something to do. On every wire the last port is that of
+    attached tools; the two before it are the babbling idiot's and the background traffic's.
+
+    Args:
+        places: (bus, port) by joint.
+        ticks: how often the joints have ticked so far.
+    """
+
+    PORTS = 2  # on every wire
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        robot: Robot,
+        wires: Sequence[Wire],
+        places: Mapping[int, tuple[int, int]],
+        streams: StreamFactory,
+        ticks: Callable[[], int],
+    ) -> None:
+        self._robot, self._wires, self._places, self._ticks = robot, wires, places, ticks
+        self.senders = Senders(wires, places, int(scenario.firmware.rate))
+        self._talkers: dict[str, Talker] = {}
+        for wire in wires:
+            config = scenario.bus[wire.name]
+            self._talkers[f"bus.{wire.name}.babble"] = Babbler(wire, wire.ports - 3, config.babble)
+            self._talkers[f"bus.{wire.name}.background"] = BackgroundTraffic(wire, wire.ports - 2, config, streams)
+        self.next_ns = NEVER
+        self.look()
+
+    def look(self) -> None:
+        """Find out when the next event is: after anything but ``advance`` that may have changed it."""
+        self.next_ns = min(self.senders.next_ns, *[talker.next_ns for talker in self._talkers.values()])
+
+    def advance(self, now_ns: int) -> None:
+        """Offer to the wires what is due."""
+        for talker in self._talkers.values():
+            talker.advance(now_ns)
+        self.senders.advance(now_ns)
+        self.look()
+
+    def setters(self, links: Mapping[str, Link]) -> dict[str, Set]:
+        """Who takes the injectable keys under which path; ``links`` by path."""
+        setters: dict[str, Set] = {path: partial(_set_link, link) for path, link in links.items()}
+        setters |= {f"bus.{wire.name}": partial(_set_wire, wire) for wire in self._wires}
+        setters |= {path: partial(self._set_talker, talker) for path, talker in self._talkers.items()}
+        for bus, wire in zip(self._robot.buses, self._wires, strict=True):
+            for port, name in enumerate((GATEWAY, *bus.joints)):
+                joint = self._robot.joint_names.index(name) if port else None
+                setters[f"bus.{bus.name}.node.{name}"] = NodeSetter(wire, port, joint, self.senders, self._ticks)
+        return setters
+
+    def _set_talker(self, talker: Talker, key: str, value: Any, now_ns: int) -> None:
+        talker.set(key, value, now_ns)
+        self.look()
+
+    def snapshot(self) -> dict[str, Any]:
+        talkers = {path: talker.snapshot() for path, talker in self._talkers.items()}
+        return {"senders": self.senders.snapshot(), "talkers": talkers}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        self.senders.restore(state["senders"])
+        for path, talker in self._talkers.items():
+            talker.restore(state["talkers"][path])
+        self.look()
+
+
+def _set_link(link: Link, key: str, value: Any, now_ns: int) -> None:
+    link.set(key, value)
+
+
+def _set_wire(wire: Wire, key: str, value: Any, now_ns: int) -> None:
+    if key != "damage":
+        wire.set(key, value)
+    elif value:
+        identifier, bit, *attempt = value.split()
+        number = int(identifier, 0)
+        place = int(bit) if bit.isdecimal() else bit
+        try:
+            extended = number >= BASE_ID_LIMIT
+            _of_wire(wire, "damage")(number, int(attempt[0]) if attempt else 1, place, extended=extended)
+        except ValueError as error:
+            raise UserError(f"damage = {value!r}: {error}") from None

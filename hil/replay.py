@@ -1,0 +1,104 @@
+"""``hil replay DIR``: repeats a run from its journal and tells whether it came out the same to the bit."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections import deque
+from pathlib import Path
+from typing import Any
+
+from bus.frames import Frame
+from hil import journal
+from hil.errors import EXIT_STABLE, EXIT_UNSTABLE, EmulationError, UserError
+
+
+class Replay:
+    """In the place of attached tools: what came into the run from outside comes again, at the same time."""
+
+    def __init__(self, system: Any, entries: list[dict[str, Any]]) -> None:
+        self._system = system
+        self._buses = [wire.name for wire in system.wires]
+        self._entries = deque(e for e in entries if e.get("by") == "query" or "frame" in e)
+
+    def broadcast(self, *_: Any) -> None:
+        """Nobody listens."""
+
+    broadcast_error = set_state = refused = broadcast
+
+    def poll(self) -> list[tuple[int, Frame]]:
+        """Make the injections that are due; return the frames that are."""
+        frames = []
+        now, entries = self._system.now_ns, self._entries
+        while entries and entries[0]["time_ns"] <= now:
+            entry = entries.popleft()
+            if "frame" in entry:
+                if entry["bus"] not in self._buses:
+                    raise UserError(f"the journal has a frame on a bus {entry['bus']!r}, which the robot has not")
+                frames.append((self._buses.index(entry["bus"]), journal.frame_of(entry)))
+            else:
+                self._system.inject(entry["key"], entry["value"])
+        return frames
+
+
+def replay(directory: Path) -> tuple[bool, str]:
+    """Whether the run recorded in ``directory`` comes out the same again, and a sentence about it.
+
+    Raises UserError when there is nothing that can be replayed.
+    """
+    from hil.run import Request, run, versions
+    from hil.scenario import complete
+
+    start, *entries = journal.read(directory)
+    start = start["run"]
+    source = f"{directory / journal.JOURNAL_FILE}: configuration"
+    scenario = complete(_readable(start["configuration"]), source)
+    recorded = {e["time_ns"]: e["digest"] for e in entries if "digest" in e and "time_ns" in e}
+    end = next((e for e in entries if "end_ns" in e), None)
+    if end is None:
+        if not recorded:
+            raise UserError(f"{directory}: the run was ended before its first digest; there is nothing to compare")
+        # an event at the time of the last digest belongs to the replay, a later one was not recorded completely
+        scenario = scenario.model_copy(update={"duration": (max(recorded) + 1) * 1e-9})
+    digests = journal.Digests()
+
+    def prepare(assembly: Any) -> None:
+        assembly.system.tap = Replay(assembly.system, entries)
+
+    outcome = run(Request(scenario, start["seed"], "inline", report=False, journal=digests), prepare=prepare)
+    if outcome.record["verdict"] == "failed":
+        raise EmulationError(f"the replay did not get to its end: {outcome.record['reason']}")
+    until = f"{max(recorded) * 1e-9:.3f} s, where the run was cut off" if end is None else "its end"
+    wrong = next((time for time, digest in sorted(recorded.items()) if digests.at.get(time) != digest), None)
+    if wrong is None and (end is None or outcome.record["log_digest"] == end["digest"]):
+        return True, f"same digest up to {until}: {outcome.record['log_digest'] if end else recorded[max(recorded)]}"
+    place = f"by {wrong * 1e-9:.3f} s" if wrong is not None else "after the last full tenth of a second"
+    then, now = start.get("versions", {}), versions()
+    changed = [f"{name} {then[name]} then, {now.get(name)} now" for name in then if then[name] != now.get(name)]
+    return False, f"the digest differs {place}{' (' + '; '.join(changed) + ')' if changed else ''}"
+
+
+def _readable(configuration: dict[str, Any]) -> dict[str, Any]:
+    """A dumped configuration as a scenario file holds it: with units."""
+    import tomllib
+
+    from hil.scenario import to_toml
+
+    try:
+        return tomllib.loads(to_toml(configuration))
+    except (ValueError, TypeError, AttributeError):
+        raise UserError("the journal's configuration is no scenario") from None
+
+
+def add_parser(commands: Any) -> None:
+    """Add the subcommand to ``hil``."""
+    parser = commands.add_parser("replay", help="repeat a recorded run, with all that came into it from outside")
+    parser.add_argument("directory", type=Path, metavar="DIR", help="the run's record")
+    parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
+    parser.set_defaults(command=_replay)
+
+
+def _replay(options: argparse.Namespace) -> int:
+    same, sentence = replay(options.directory)
+    print(json.dumps({"same": same, "sentence": sentence}) if options.json else sentence)
+    return EXIT_STABLE if same else EXIT_UNSTABLE
