@@ -54,10 +54,6 @@ class Wire(FaultyMedium):
                 self._next = start
         return True
 
-    def waiting(self, port: int) -> int:
-        """How many frames of ``port`` wait in its transmit queue."""
-        return self._queued[port]
-
     def next_time(self) -> int:
         """Time of the next event, ns; NEVER when the bus is idle and nothing is under way."""
         return self._next

@@ -25,13 +25,6 @@ _ON_THE_WIRE = {
 }  # fmt: skip
 
 
-def _of_wire(wire: Any, method: str) -> Any:
-    """A wire's method. Raises UserError for a wire that has no such fault."""
-    if not hasattr(wire, method):
-        raise UserError(f"this wire has no fault {method!r}")
-    return getattr(wire, method)
-
-
 class NodeSetter:
     """Takes the injected values of the node at ``port`` of ``wire``; ``joint``: its number, None for the gateway.
 
@@ -47,10 +40,10 @@ class NodeSetter:
     def __call__(self, key: str, value: Any, now_ns: int) -> None:
         """Set ``key`` to ``value``. Raises KeyError for a key that this node has not."""
         if key in _ON_THE_WIRE:
-            _of_wire(self._wire, _ON_THE_WIRE[key])(self._port, value, now_ns)
+            getattr(self._wire, _ON_THE_WIRE[key])(self._port, value, now_ns)
         elif key == "restart":
             if value:
-                _of_wire(self._wire, "restart")(self._port, now_ns)
+                self._wire.restart(self._port, now_ns)
         elif self._joint is None or self._senders is None:
             raise KeyError(key)
         elif key == "node_id":
@@ -143,6 +136,6 @@ def _set_wire(wire: Wire, key: str, value: Any, now_ns: int) -> None:
         place = int(bit) if bit.isdecimal() else bit
         try:
             extended = number >= BASE_ID_LIMIT
-            _of_wire(wire, "damage")(number, int(attempt[0]) if attempt else 1, place, extended=extended)
+            wire.damage(number, int(attempt[0]) if attempt else 1, place, extended=extended)
         except ValueError as error:
             raise UserError(f"damage = {value!r}: {error}") from None

@@ -37,8 +37,8 @@ class Request:
     video: bool = False
     zenoh: str | None = None  # endpoint of a router to join
     report: bool = True
-    log_formats: tuple[str, ...] = ()  # of each bus, beside candump's: of bus.logs.FORMATS
     journal: Any = None  # a hil.journal.Journal to write to instead of the one of the directory
+    log_formats: tuple[str, ...] = ()  # of each bus, beside candump's: of bus.logs.FORMATS
 
 
 @dataclass

@@ -267,8 +267,7 @@ class System:
             for b, wire in enumerate(self.wires):
                 self.tap.set_state(b, *wire.ports_state(self._tool_port[b]))
             for bus, frame in self.tap.poll():
-                if not self._offer_of_tool(now, bus, frame):
-                    self.tap.refused(bus, frame)
+                self._offer_of_tool(now, bus, frame)
         self.controller.start(now, self._arrived)
         self._arrived = []
         self._reply_ns = now + self._compute_ns
@@ -279,11 +278,12 @@ class System:
 
     def _offer_of_tool(self, now: int, bus: int, frame: Frame) -> bool:
         wire, port = self.wires[bus], self._tool_port[bus]
-        if not wire.offer(now, port, frame):
-            return False  # it comes again
         self.tool_frames += 1
         self.journal.write(frame_entry(now, wire.name, port, frame))
-        return True
+        taken = wire.offer(now, port, frame)
+        if not taken and self.tap is not None:
+            self.tap.refused(bus, frame)
+        return taken
 
     def _finish_control(self, now: int) -> None:
         commands, telemetry = self._reply if self._reply is not None else self.controller.finish()

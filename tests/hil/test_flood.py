@@ -47,8 +47,8 @@ def run_with(prepare: Callable[[Assembly], None], out: Path, duration: str) -> t
 
 
 def flooded(identifier: str, out: Path, start_ns: int = 0, duration: str = "1.6s") -> tuple[Outcome, Any]:
-    """The same while a process sends ``identifier`` on left_leg as fast as it is let: whenever the run looks, it has
-    more to send."""
+    """The same while a process sends ``identifier`` on left_leg as fast as it is let: whenever the run looks, it fills
+    all places that a client has."""
     process = None
 
     def attach(assembly: Assembly) -> None:
@@ -57,7 +57,7 @@ def flooded(identifier: str, out: Path, start_ns: int = 0, duration: str = "1.6s
         server = tap._servers[[wire.name for wire in assembly.system.wires].index("left_leg")]
         poll = tap.poll
 
-        def poll_when_there_is_more() -> list[tuple[int, Frame]]:
+        def poll_until_no_place_is_left() -> list[tuple[int, Frame]]:
             nonlocal process
             if assembly.system.now_ns < start_ns:
                 return []
@@ -65,14 +65,13 @@ def flooded(identifier: str, out: Path, start_ns: int = 0, duration: str = "1.6s
                 process = subprocess.Popen([sys.executable, "-c", _FLOOD, f"{out.name}/left_leg", identifier],
                                            stderr=subprocess.PIPE, text=True)  # fmt: skip
             deadline = time.monotonic() + 60
-            while not server.clients or len(server._clients[0]._backlog) < IN_FLIGHT:
+            frames = poll()
+            while not server.clients or len(server._clients[0]._flying) < IN_FLIGHT:
                 assert time.monotonic() < deadline and process.poll() is None
-                server._admit()
-                for client in server._clients:
-                    client.hear(assembly.system.now_ns)
-            return poll()
+                frames += poll()
+            return frames
 
-        tap.poll = poll_when_there_is_more
+        tap.poll = poll_until_no_place_is_left
 
     outcome, wire = run_with(attach, out, duration)
     assert process is not None

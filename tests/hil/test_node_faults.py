@@ -4,16 +4,13 @@ from collections import Counter
 from typing import Any
 
 import numpy as np
-import pytest
 
 from bus import messages
 from bus.frames import Frame
-from bus.wire import Wire
 from hil.run import Outcome, Request, run
 from hil.scenario import load
+from hil.system import Tap
 from robots import description
-
-pytestmark = pytest.mark.skipif(not hasattr(Wire, "cut"), reason="this wire has no faults of nodes")
 
 MS = 1_000_000
 KNEE = "bus.left_leg.node.left_knee"
@@ -23,7 +20,7 @@ STATES = {name: messages.STATE + ROBOT.joint(name).node_id for name in ROBOT.bus
 OTHERS = [name for name in STATES if name != "left_knee"]
 
 
-class Listener:
+class Listener(Tap):
     """In the place of attached tools: notes (time, identifier) of the left leg's bus."""
 
     def __init__(self) -> None:
@@ -53,7 +50,7 @@ def hung(*inject: str, backend: str = "inline") -> tuple[Outcome, Listener, Any]
         at, key, value, *until = text.split(", ")
         end = f", until='{until[0]}ms'" if until else ""
         entries.append(f"{{at='{at}ms', key='{key}', value='{value}'{end}}}")
-    settings = ["duration=0.3s", "controller.enable_at=0.05s", "world.hoist.hold=1s", f"inject=[{', '.join(entries)}]"]
+    settings = ["duration=0.3s", "controller.stand_at=0.05s", "world.hoist.hold=1s", f"inject=[{', '.join(entries)}]"]
     listener, systems = Listener(), []
 
     def prepare(assembly: Any) -> None:

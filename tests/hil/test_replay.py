@@ -20,14 +20,15 @@ from hil.journal import Journal, frame_entry, frame_of, read
 from hil.replay import replay
 from hil.run import Outcome, Request, run
 from hil.scenario import load
+from hil.system import Tap
 
 SETTINGS = [
-    "duration=0.35s", "controller.enable_at=0.05s", "world.hoist.hold=1s", "bus.left_leg.jitter=20us",
+    "duration=0.35s", "controller.stand_at=0.05s", "world.hoist.hold=1s", "bus.left_leg.jitter=20us",
     "inject=[{at='0.1s', until='0.15s', key='link.command.delay', value='100us'}]",
 ]  # fmt: skip
 
 
-class Meddler:
+class Meddler(Tap):
     """In the place of attached tools: sends frames and injects at certain controller's ticks."""
 
     def __init__(self, system: Any) -> None:

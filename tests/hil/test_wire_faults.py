@@ -10,11 +10,12 @@ from bus.frames import Frame
 from bus.wire import QUEUE
 from hil.run import Request, assemble
 from hil.scenario import load
+from hil.system import Tap
 
 MILLISECOND = 1_000_000
 
 
-class Tools:
+class Tools(Tap):
     """Stands for attached tools: hears everything, says nothing."""
 
     def __init__(self) -> None:
