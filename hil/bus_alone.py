@@ -264,8 +264,8 @@ def _status(options: argparse.Namespace) -> int:
         )
     for identifier, counts in told["identifiers"].items():
         print(
-            f"{identifier:>8}  {counts['delivered']} delivered, waited {counts['wait_mean_us']} µs, "
-            f"at most {counts['wait_max_us']} µs"
+            f"{identifier:>8}  {counts['sent']} sent, {counts['lost']} lost, {counts['retransmitted']} retransmitted, "
+            f"waited p50 {counts['wait_p50_us']} µs, p99 {counts['wait_p99_us']} µs, max {counts['wait_max_us']} µs"
         )
     for change in told["injected"]:
         print(f"injected  {change['time_s']:.6f} s: {change['key']} = {change['value']}")

@@ -72,7 +72,6 @@ class StandaloneBus:
             data_rate=config.data_rate,
         )  # fmt: skip
         self.record: Record | None = None
-        self._delivered: dict[tuple[int, bool], int] = {}
         self._busy_clients: set[PortClient] = set()  # who has frames in the wire
         self._look_at = NEVER  # when a client wants to be looked after that has sent nothing
         self._flush_at = NEVER
@@ -122,8 +121,6 @@ class StandaloneBus:
             time_ns, frame = delivery.time, delivery.frame
             self.lateness.add(now - due)
             ports.deliver(time_ns, delivery.sender, frame, delivery.missed)
-            key = (frame.id, frame.extended)
-            self._delivered[key] = self._delivered.get(key, 0) + 1
             if self.record is not None:
                 self.record.frame(time_ns, frame)
             if self._flush_at == NEVER:
@@ -229,10 +226,14 @@ class StandaloneBus:
         wire, record = self._wire, self.record
         uptime = (time.monotonic_ns() - self._origin) * 1e-9
         identifiers = {}
-        for (identifier, extended), wait in wire.waits().items():
+        for (identifier, extended), traffic in wire.traffic().items():
+            wait = traffic.wait
             identifiers[f"{identifier:08X}" if extended else f"{identifier:03X}"] = {
-                "delivered": self._delivered.get((identifier, extended), 0),
-                "wait_mean_us": round(wait.mean * 1e-3, 1),
+                "sent": traffic.sent,
+                "lost": traffic.lost,
+                "retransmitted": traffic.retransmitted,
+                "wait_p50_us": round(wait.percentile(50) * 1e-3, 1),
+                "wait_p99_us": round(wait.percentile(99) * 1e-3, 1),
                 "wait_max_us": round(wait.longest * 1e-3, 1),
             }
         return {

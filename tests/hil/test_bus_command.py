@@ -145,7 +145,7 @@ def test_frames_take_their_time_and_clients_their_turn(lab: tuple[str, int], tmp
         assert after.timestamp - before.timestamp >= least + 3e-6 - 2e-9  # the one of the frame before it
     told = status(name, tmp_path)
     assert told["sent"] == 2 * count and told["lost"] == told["errors"] == 0
-    assert {i: c["delivered"] for i, c in told["identifiers"].items()} == {"100": count, "700": count}
+    assert {i: c["sent"] for i, c in told["identifiers"].items()} == {"100": count, "700": count}
     assert told["identifiers"]["700"]["wait_max_us"] > told["identifiers"]["100"]["wait_max_us"]
     assert told["lateness"]["events"] == 2 * count and told["lateness"]["max_us"] > 0
 
@@ -313,6 +313,7 @@ def test_faults_from_the_start(tmp_path: Path) -> None:
             sender.send(message(0x1))
             told = wait_for(lambda: (t := status(name, tmp_path))["sent"] and t, "a frame")
         assert (told["sent"], told["lost"], told["lateness"]["events"]) == (1, 1, 0)
+        assert told["identifiers"]["001"]["lost"] == 1
     finally:
         assert hil("bus", "down", name, state=tmp_path).returncode == 0
 
