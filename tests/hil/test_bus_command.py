@@ -318,6 +318,26 @@ def test_faults_from_the_start(tmp_path: Path) -> None:
         assert hil("bus", "down", name, state=tmp_path).returncode == 0
 
 
+def test_bit_errors_reach_clients_as_error_frames_and_frames_are_sent_again(tmp_path: Path) -> None:
+    name = unique("lab")
+    command = ("bus", "up", name, "--set", f"bus.{name}.bit_error_rate=0.002", "--json")
+    log = Path(json.loads(hil(*command, state=tmp_path).stdout)["log"])
+    try:
+        with attach(name) as sender, attach(name) as listener:
+            for n in range(200):
+                sender.send(message(0x1, bytes([n])))
+            heard: list[can.Message] = []
+            while sum(not m.is_error_frame for m in heard) < 200:
+                heard.append(receive(listener))
+        told = status(name, tmp_path)
+    finally:
+        assert hil("bus", "down", name, state=tmp_path).returncode == 0
+    assert [m.data[0] for m in heard if not m.is_error_frame] == list(range(200))
+    assert any(m.is_error_frame for m in heard)
+    assert told["identifiers"]["001"]["retransmitted"] == told["errors"] > 0
+    assert any(m.is_error_frame for m in can.LogReader(log / "frames.log"))
+
+
 def test_a_full_bus_turns_the_next_client_away_with_a_sentence(lab: tuple[str, int]) -> None:
     name, pid = lab
     connections = [connect(name)[0] for _ in range(32)]
