@@ -327,12 +327,13 @@ def test_bit_errors_reach_clients_as_error_frames_and_frames_are_sent_again(tmp_
             for n in range(200):
                 sender.send(message(0x1, bytes([n])))
             heard: list[can.Message] = []
-            while sum(not m.is_error_frame for m in heard) < 200:
+            while not heard or heard[-1].is_error_frame or heard[-1].data[0] != 199:
                 heard.append(receive(listener))
         told = status(name, tmp_path)
     finally:
         assert hil("bus", "down", name, state=tmp_path).returncode == 0
-    assert [m.data[0] for m in heard if not m.is_error_frame] == list(range(200))
+    # an error in the last bit of a frame comes too late for its receivers: they get it twice, as on a real bus
+    assert list(dict.fromkeys(m.data[0] for m in heard if not m.is_error_frame)) == list(range(200))
     assert any(m.is_error_frame for m in heard)
     assert told["identifiers"]["001"]["retransmitted"] == told["errors"] > 0
     assert any(m.is_error_frame for m in can.LogReader(log / "frames.log"))
