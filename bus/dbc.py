@@ -7,21 +7,12 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 from bus import messages
-from bus.messages import Controlword, GainSet, Mode, Setpoint, State, Statusword
+from bus.messages import Controlword, GainSet, Mode, NmtCommand, NmtState, Setpoint, State, Statusword
 from robots.description import Bus, Robot
 
-_UNITS = {
-    "position": (messages.RADIAN, "rad"),
-    "velocity": (messages.RADIAN_PER_SECOND, "rad/s"),
-    "torque": (messages.NEWTON_METRE, "N m"),
-    "torque_limit": (messages.TORQUE_LIMIT, "N m"),
-    "current": (messages.AMPERE, "A"),
-    "motor_velocity": (messages.MOTOR_RADIAN_PER_SECOND, "rad/s"),
-    "temperature": (1.0, "degC"),
-}
 # The statusword as signals of its own, so that a drive's state has its name whatever the other bits are.
 _STATUSWORD_BITS = (("drive_state", 0, 7), ("limited", 11, 1), ("foot_contact", 14, 1))
-_FD_BASE_FRAME = 14  # VFrameFormat StandardCAN_FD
+_CLASSICAL_BASE_FRAME, _FD_BASE_FRAME = 0, 14  # VFrameFormat StandardCAN, StandardCAN_FD
 _FRAME_FORMATS = (
     "StandardCAN", "ExtendedCAN", "reserved", "J1939PG", *["reserved"] * 10,
     "StandardCAN_FD", "ExtendedCAN_FD",
@@ -50,7 +41,7 @@ def _signals(names: tuple[str, ...], layout: str, first_bit: int = 0, prefix: st
             for part, offset, width in _STATUSWORD_BITS:
                 yield _Signal(prefix + part, start + offset, width, False)
         else:
-            yield _Signal(prefix + name, start, bits, code.islower(), *_UNITS.get(name, (1.0, "")))
+            yield _Signal(prefix + name, start, bits, code.islower(), *messages.UNITS.get(name, (1.0, "")))
         start += bits
 
 
@@ -64,27 +55,30 @@ _TEXTS = {
     "controlword": _texts(Controlword),
     "mode": _texts(Mode),
     "gain_set": _texts(GainSet),
+    "nmt_state": _texts(NmtState),
+    "nmt_command": _texts(NmtCommand),
 }
 
 
 def dbc(robot: Robot, bus: Bus) -> str:
-    """Text of the DBC file of ``bus``: the command (a set of signals per joint, prefixed with its name), and
-    each drive's state, heartbeat and emergency.
+    """Text of the DBC file of ``bus``: the command (a set of signals per joint, prefixed with its name), each
+    drive's state, heartbeat and emergency, and the services of a CANopen master.
 
     Raises ValueError for a bus with more drives than a command has slots.
     """
     joints = robot.joints_of(bus)
     if len(joints) > messages.SLOTS:
         raise ValueError(f"bus {bus.name} has {len(joints)} drives; a command has {messages.SLOTS} slots")
-    nodes = " ".join(["gateway", *bus.joints])
+    nodes = " ".join(["gateway", "master", *bus.joints])
     lines = ['VERSION ""', "", "NS_ :", "", "BS_:", "", f"BU_: {nodes}", ""]
     values: list[str] = []
-    identifiers: list[int] = []
+    formats: list[tuple[int, int]] = []
 
     def message(
-        identifier: int, name: str, length: int, sender: str, signals: list[tuple[_Signal, str]]
-    ) -> None:
-        identifiers.append(identifier)
+        identifier: int, name: str, length: int, sender: str, signals: list[tuple[_Signal, str]],
+        frame_format: int = _FD_BASE_FRAME,
+    ) -> None:  # fmt: skip
+        formats.append((identifier, frame_format))
         lines.append(f"BO_ {identifier} {name}: {length} {sender}")
         for signal, receiver in signals:
             lines.append(signal.line(receiver))
@@ -113,14 +107,28 @@ def dbc(robot: Robot, bus: Bus) -> str:
             sent = [(signal, "gateway") for signal in signals]
             message(base + joint.node_id, f"{joint.name}_{name}", length, joint.name, sent)
 
-    formats = ",".join(f'"{name}"' for name in _FRAME_FORMATS)
+    # what a master that speaks classical CAN sends, and the answers, which are in the form of the request
+    nmt = [(_Signal(name, start, 8, False), joints[0].name) for name, start in (("nmt_command", 0), ("node", 8))]
+    message(messages.NMT, "nmt", 2, "master", nmt, _CLASSICAL_BASE_FRAME)
+    message(messages.SYNC, "sync", 0, "master", [], _CLASSICAL_BASE_FRAME)
+    sdo = [_Signal("sdo_command", 0, 8, False), _Signal("index", 8, 16, False), _Signal("sub", 24, 8, False),
+           _Signal("data", 32, 32, False)]  # fmt: skip
+    for joint in joints:
+        for base, name, sender, receiver in (
+            (messages.SDO_REQUEST, "sdo_request", "master", joint.name),
+            (messages.SDO_RESPONSE, "sdo_response", joint.name, "master"),
+        ):
+            parts = [(signal, receiver) for signal in sdo]
+            message(base + joint.node_id, f"{joint.name}_{name}", 8, sender, parts, _CLASSICAL_BASE_FRAME)
+
+    format_names = ",".join(f'"{name}"' for name in _FRAME_FORMATS)
     lines += [
-        f'BA_DEF_ BO_ "VFrameFormat" ENUM {formats};',
+        f'BA_DEF_ BO_ "VFrameFormat" ENUM {format_names};',
         'BA_DEF_ "BusType" STRING ;',
         'BA_DEF_DEF_ "VFrameFormat" "StandardCAN_FD";',
         'BA_DEF_DEF_ "BusType" "CAN FD";',
         'BA_ "BusType" "CAN FD";',
-        *[f'BA_ "VFrameFormat" BO_ {identifier} {_FD_BASE_FRAME};' for identifier in identifiers],
+        *[f'BA_ "VFrameFormat" BO_ {identifier} {frame_format};' for identifier, frame_format in formats],
         *values,
         "",
     ]

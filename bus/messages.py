@@ -1,6 +1,6 @@
 """Every message on the joint buses: identifiers (CiA 301), layouts (little-endian), and their codecs.
 
-This module is the one definition; the DBC file is generated from it (``bus.dbc``).
+This module is the one definition; DBC files (``bus.dbc``) and EDS files (``joint_firmware.eds``) are generated from it.
 All physical values are fixed-point integers with the scales below.
 """
 
@@ -11,10 +11,20 @@ import struct
 from typing import NamedTuple
 
 # --- identifiers (CiA 301 pre-defined connection set) -------------------------------------------------------
+NMT = 0x000
+SYNC = 0x080
 EMERGENCY = 0x080  # + node id
 STATE = 0x180  # TPDO1 + node id
 COMMAND = 0x200  # RPDO1, one broadcast for all drives of the bus
+SDO_RESPONSE = 0x580  # + node id
+SDO_REQUEST = 0x600  # + node id
 HEARTBEAT = 0x700  # + node id
+
+
+def accepted(node_id: int) -> tuple[int, ...]:
+    """Identifiers that the CAN controller of a drive lets pass."""
+    return NMT, SYNC, COMMAND, SDO_REQUEST + node_id
+
 
 # --- scales -------------------------------------------------------------------------------------------------
 RADIAN = 1e-6  # rad per count
@@ -23,6 +33,15 @@ NEWTON_METRE = 1e-4  # N m per count
 TORQUE_LIMIT = 0.02  # N m per count, unsigned 16 bit
 AMPERE = 0.01  # A per count
 MOTOR_RADIAN_PER_SECOND = 1e-3  # rad/s per count, 16 bit
+UNITS = {  # scale and unit of every field that has one
+    "position": (RADIAN, "rad"),
+    "velocity": (RADIAN_PER_SECOND, "rad/s"),
+    "torque": (NEWTON_METRE, "N m"),
+    "torque_limit": (TORQUE_LIMIT, "N m"),
+    "current": (AMPERE, "A"),
+    "motor_velocity": (MOTOR_RADIAN_PER_SECOND, "rad/s"),
+    "temperature": (1.0, "degC"),
+}
 SLOTS = 3  # drives that one command frame can address
 
 
@@ -67,6 +86,25 @@ class Statusword:
     FAULT = 0x0008
     FOOT_CONTACT = 0x4000  # manufacturer-specific bit 14: the foot switch is closed
     LIMITED = 0x0800  # bit 11: internal limit active (current, torque, rate or position)
+
+
+class NmtState:
+    """States of a CANopen node (CiA 301), as its heartbeat tells them."""
+
+    INITIALISING = 0x00  # as heartbeat: the boot-up message
+    STOPPED = 0x04
+    OPERATIONAL = 0x05
+    PRE_OPERATIONAL = 0x7F
+
+
+class NmtCommand:
+    """What an NMT master may order."""
+
+    START = 0x01
+    STOP = 0x02
+    ENTER_PRE_OPERATIONAL = 0x80
+    RESET_NODE = 0x81
+    RESET_COMMUNICATION = 0x82
 
 
 class State(NamedTuple):

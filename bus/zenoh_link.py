@@ -1,5 +1,7 @@
 """Key expressions, payloads and session settings of the Zenoh link between gateway and central controller.
 
+docs/zenoh.md is the reference for other programs.
+
 A bundle carries all that arrived since the last tick, or the commands and telemetry of an answer;
 little-endian::
 
@@ -28,6 +30,28 @@ Item = tuple[int, int, int, bytes]  # arrival in ns, source, CAN identifier, dat
 
 class MalformedBundleError(ValueError):
     """A payload that is not a bundle of this version."""
+
+
+class WrongVersionError(MalformedBundleError):
+    """A bundle of another version of this layout."""
+
+
+class Refused:
+    """How many samples of a subscription were ignored, by reason."""
+
+    def __init__(self) -> None:
+        self.malformed = 0
+        self.wrong_version = 0
+        self.unexpected = 0  # a bundle, but not the one that was due
+
+    def count(self, error: MalformedBundleError) -> None:
+        if isinstance(error, WrongVersionError):
+            self.wrong_version += 1
+        else:
+            self.malformed += 1
+
+    def report(self) -> dict[str, int]:
+        return dict(vars(self))
 
 
 class Keys(NamedTuple):
@@ -70,8 +94,10 @@ def bundle_sequence(payload: bytes) -> int:
     if len(payload) < _HEADER.size:
         raise MalformedBundleError(f"{len(payload)} bytes are less than a bundle's header of {_HEADER.size}")
     magic, version, _, sequence, _, _, _ = _HEADER.unpack_from(payload)
-    if magic != MAGIC or version != VERSION:
-        raise MalformedBundleError(f"magic {magic:#06x} version {version}, not {MAGIC:#06x} {VERSION}")
+    if magic != MAGIC:
+        raise MalformedBundleError(f"magic {magic:#06x}, not {MAGIC:#06x}")
+    if version != VERSION:
+        raise WrongVersionError(f"a bundle of version {version}, not {VERSION}")
     return sequence
 
 
@@ -123,6 +149,35 @@ def session_config(listen: str | None, connect: str | None, router: bool = False
         }
     for key, value in settings.items():
         config.insert_json5(key, json.dumps(value))
+    return config
+
+
+def peer_config(where: str) -> Any:
+    """Zenoh settings of a session that meets a run.
+
+    Args:
+        where: ``tcp/HOST:PORT``, where the run's own session listens; ``router:ENDPOINT``, a router that the run has
+            joined; or ``config:FILE``, a configuration file of Zenoh's that the run uses as well. What such a file
+            leaves out is off: no scouting, and no listening.
+
+    Raises ValueError for a file that Zenoh does not read.
+    """
+    import zenoh
+
+    kind, _, value = where.partition(":")
+    if kind == "router":
+        return session_config(None, value, router=True)
+    if kind != "config":
+        return session_config(None, where)
+    try:
+        config = zenoh.Config.from_file(value)
+    except zenoh.ZError as error:
+        raise ValueError(f"{value}: Zenoh cannot read it ({error})") from None
+    for key in ("scouting/multicast/enabled", "scouting/gossip/enabled"):
+        if config.get_json(key) == "null":
+            config.insert_json5(key, "false")
+    if config.get_json("listen/endpoints") == zenoh.Config().get_json("listen/endpoints"):
+        config.insert_json5("listen/endpoints", "[]")
     return config
 
 

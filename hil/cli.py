@@ -54,6 +54,8 @@ def _complain(error: Exception) -> None:
 
 
 def _parser() -> argparse.ArgumentParser:
+    from hil import eds
+
     parser = _Parser(prog="hil", description="Hardware-in-the-loop style emulation of legged robots.")
     commands = parser.add_subparsers(required=True, metavar="COMMAND", parser_class=_Parser)
 
@@ -82,6 +84,23 @@ def _parser() -> argparse.ArgumentParser:
         "--log-format", action="append", default=[], choices=("candump", "asc", "blf", "pcap"), dest="log_formats",
         help="write this log of each bus too; repeatable (candump's is always written)",
     )  # fmt: skip
+    run.add_argument(
+        "--zenoh-config", type=Path, metavar="FILE",
+        help="Zenoh's own configuration (.json5) for launcher and controller: TLS, access control, other transports",
+    )  # fmt: skip
+    run.add_argument(
+        "--can", choices=("shm", "socketcan", "socketcan-plain"), default="shm",
+        help="what carries the joints' frames: shared memory (default), SocketCAN with the emulated wire between the "
+        "interfaces of the joints, or one plain SocketCAN interface per bus",
+    )  # fmt: skip
+    run.add_argument(
+        "--external", type=natural, action="append", default=[], metavar="NODE",
+        help="leave the joint with this node id to real hardware on its SocketCAN interface; repeatable",
+    )  # fmt: skip
+    run.add_argument(
+        "--interface", action="append", default=[], metavar="NAME=CAN",
+        help="with --can socketcan…: use the interface CAN (can0) in place of NAME (left_leg.6); repeatable",
+    )  # fmt: skip
     run.add_argument("--video", action="store_true", help="also write video.mp4")
     run.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
     run.set_defaults(command=_run)
@@ -91,9 +110,14 @@ def _parser() -> argparse.ArgumentParser:
     scenarios.set_defaults(command=_scenarios)
 
     bench = commands.add_parser("bench", help="measure speed, memory and start-up on this machine")
-    bench.add_argument("--duration", metavar="S", default="5s", help="simulated time of each measurement")
+    bench.add_argument("what", nargs="?", choices=("bus",), help="only the bus, beside python-can's virtual ones")
+    bench.add_argument("--duration", metavar="S", help="of each measurement: simulated time (5s), of the bus real (1s)")
     bench.add_argument("--json", action="store_true")
     bench.set_defaults(command=_bench)
+
+    from hil import socketcan_selftest
+
+    socketcan_selftest.add_parser(commands)
 
     inject = commands.add_parser("inject", help="inject a fault into a run that is going on")
     inject.add_argument("key", nargs="?", metavar="KEY", help="e.g. link.command.delay; with --list the part to list")
@@ -102,11 +126,12 @@ def _parser() -> argparse.ArgumentParser:
     inject.add_argument("--list", action="store_true", help="list all keys with range, default and meaning")
     inject.set_defaults(command=_inject)
 
-    bus_command.add_parser(commands)
     joint_command.add_parser(commands)
     from hil import replay
 
     replay.add_parser(commands)
+    eds.add_parser(commands)
+    bus_command.add_parser(commands)
     return parser
 
 
@@ -154,6 +179,26 @@ def _run(options: argparse.Namespace) -> int:
     scenario = load(options.scenario, settings)
     if options.zenoh is not None and options.backend == "inline":
         raise UserError("--zenoh has no meaning with --backend inline: nothing goes through Zenoh there")
+    if options.zenoh_config is not None:
+        if options.zenoh is not None or options.backend == "inline":
+            other = "--zenoh" if options.zenoh is not None else "--backend inline"
+            raise UserError(f"--zenoh-config and {other} exclude each other")
+        from bus.zenoh_link import peer_config
+
+        try:
+            peer_config(f"config:{options.zenoh_config}")
+        except ValueError as error:
+            raise UserError(f"--zenoh-config {error}") from None
+    if options.can != "shm" and options.backend == "inline":
+        raise UserError(f"--can {options.can} has no meaning with --backend inline: nothing leaves the process there")
+    interfaces = _interfaces(options)
+    if options.can != "shm":
+        from bus.socketcan import SocketCanError, require
+
+        try:
+            require()
+        except SocketCanError as error:
+            raise UserError(f"--can {options.can}: {error}") from None
     stamp = time.strftime("%Y%m%d-%H%M%S")
     out = _directory(options.out, f"{scenario.name}-seed{options.seed}-{stamp}")
     from hil.control import serve_run
@@ -161,6 +206,8 @@ def _run(options: argparse.Namespace) -> int:
     request = Request(
         scenario, options.seed, options.backend, options.clock, out, video=options.video, zenoh=options.zenoh,
         log_formats=tuple(options.log_formats),
+        zenoh_config=options.zenoh_config, can=options.can, external=tuple(dict.fromkeys(options.external)),
+        interfaces=interfaces,
     )  # fmt: skip
     try:
         if options.json:
@@ -183,6 +230,19 @@ def _run(options: argparse.Namespace) -> int:
         raise
     _print_outcome(outcome.record)
     return outcome.exit_status
+
+
+def _interfaces(options: argparse.Namespace) -> dict[str, str]:
+    """``--interface`` as names by the names that they replace; checks ``--external``, too."""
+    if options.interface and options.can == "shm":
+        raise UserError("--interface needs --can socketcan or --can socketcan-plain")
+    if options.external and (options.can != "socketcan" or options.clock != "wall"):
+        raise UserError("--external needs --can socketcan and --clock wall: real hardware keeps its own time")
+    pairs = [text.partition("=") for text in options.interface]
+    for text, (name, _, interface) in zip(options.interface, pairs, strict=True):
+        if not name or not interface:
+            raise UserError(f"--interface {text}: expected NAME=CAN, for example left_leg.6=can0")
+    return {name: interface for name, _, interface in pairs}
 
 
 def _with_second(text: str) -> str:
@@ -259,15 +319,22 @@ def _scenarios(options: argparse.Namespace) -> int:
 
 
 def _bench(options: argparse.Namespace) -> int:
-    from hil.bench import bench
     from robots.quantities import parse_quantity
 
+    if options.duration is None:
+        options.duration = "1s" if options.what == "bus" else "5s"
     try:
         duration = parse_quantity(_with_second(options.duration), "s")
     except ValueError as error:
         raise UserError(f"--duration: {error}") from None
     if not 0.1 <= duration <= 3600:
         raise UserError(f"--duration {options.duration}: expected 0.1 s to 3600 s")
+    if options.what == "bus":
+        from hil.bench_bus import bench_bus
+
+        return bench_bus(duration, as_json=options.json)
+    from hil.bench import bench
+
     return bench(duration, as_json=options.json)
 
 

@@ -10,7 +10,7 @@ from typing import Any
 
 from bus.frames import ErrorFrame, Frame
 from bus.ports import PortError, PortServer, find_runs, served
-from bus.zenoh_link import keys, session_config
+from bus.zenoh_link import keys, peer_config
 from hil.errors import EmulationError, HilError, UserError
 from hil.injection import Injectable, injectable, of_bus
 from hil.scenario import parse_value
@@ -174,7 +174,7 @@ def ask(name: str, endpoint: str, key: str, payload: bytes = b"") -> dict[str, A
     import zenoh
 
     try:
-        session = zenoh.open(session_config(None, endpoint))
+        session = zenoh.open(peer_config(endpoint))
     except zenoh.ZError as error:
         raise EmulationError(f"{name} cannot be reached at {endpoint}: {error}") from None
     try:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-_STATE = re.compile(rb"^\((\d+)\.(\d{9})\) \S+ 1[89A-F][0-9A-F]##.([0-9A-F]{4})", re.MULTILINE)
+_STATE = re.compile(rb"^\((\d{1,9})\.(\d{9})\) \S+ 1[89A-F][0-9A-F]##.([0-9A-F]{4})", re.MULTILINE)
 
 
 def state_latencies(log: Path, firmware_rate: float, report_rate: float) -> tuple[np.ndarray, np.ndarray]:

@@ -74,6 +74,7 @@ class McapWriter:
     def __init__(self, path: Path, channels: Mapping[str, Sequence[str]]) -> None:
         self._file = path.open("wb")
         self._position = 0
+        self._crc = 0  # of all that was written
         self._ids = {name: i for i, name in enumerate(channels, start=1)}
         self._counts = dict.fromkeys(self._ids.values(), 0)
         self._times = [0, 0]
@@ -155,7 +156,7 @@ class McapWriter:
 
     def close(self) -> None:
         """Write the summary and close the file."""
-        self._write(_encode(DataEnd(0)))
+        self._write(_encode(DataEnd(self._crc)))
         statistics = Statistics(
             attachment_count=0,
             channel_count=len(self._channels),
@@ -191,6 +192,7 @@ class McapWriter:
 
     def _write(self, data: bytes) -> None:
         self._file.write(data)
+        self._crc = zlib.crc32(data, self._crc)
         self._position += len(data)
 
 

@@ -98,6 +98,7 @@ def _numbers(record: Mapping[str, Any]) -> str:
 
 def write_report(directory: Path, record: Mapping[str, Any], tables: Mapping[str, Signals]) -> Path:
     """Write ``report.html`` into ``directory`` and return its path."""
+    from hil.bus_statistics import statistics_table
     from hil.plots import draw
     from hil.scenario import to_toml
 
@@ -123,6 +124,8 @@ digest <code>{record["log_digest"][:16]}</code></p>
 <h2>Injected</h2><ul>{items}</ul>
 <h2>Key numbers</h2><p class=caption>From {settle:g} s on (grey in the plots: settling).
 Dash-dotted lines: injections while it ran.</p>{_numbers(record)}{plots}
+<h2>Waiting for the bus</h2><p class=caption>From the transmit queue to the start of the frame, beside the bound of
+response-time analysis for any offsets. After it comes the frame itself.</p>{statistics_table(record["bus"])}
 <details><summary>Exact configuration, a scenario file: --seed {record["seed"]} repeats the run</summary>
 <pre>{html.escape(to_toml(record["configuration"]))}</pre></details>
 <details><summary>Versions and all metrics</summary><pre>{html.escape(rest)}</pre></details>

@@ -8,7 +8,7 @@ import os
 import platform
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from importlib import metadata
 from pathlib import Path
@@ -17,6 +17,7 @@ from typing import Any
 from hil.backends.lifecycle import Family
 from hil.clock import VirtualClock, WallClock
 from hil.compiled import compile_function, compiler
+from hil.eds import write_data_sheets
 from hil.errors import EXIT_STABLE, EXIT_UNSTABLE, EmulationError, HilError, Interrupted
 from hil.scenario import Scenario
 from hil.streams import streams
@@ -36,6 +37,10 @@ class Request:
     out: Path | None = None  # None: nothing is written
     video: bool = False
     zenoh: str | None = None  # endpoint of a router to join
+    zenoh_config: Path | None = None  # Zenoh's configuration of both sessions, instead
+    can: str = "shm"  # what carries the joints' frames; or "socketcan", "socketcan-plain"
+    external: tuple[int, ...] = ()  # node ids of joints that are real hardware on their SocketCAN interface
+    interfaces: Mapping[str, str] = field(default_factory=dict)  # SocketCAN interfaces to use in place of others
     report: bool = True
     journal: Any = None  # a hil.journal.Journal to write to instead of the one of the directory
     log_formats: tuple[str, ...] = ()  # of each bus, beside candump's: of bus.logs.FORMATS
@@ -68,6 +73,7 @@ class Assembly:
     world: Any = None
     tap: Any = None
     queryable: Any = None
+    kernel: Any = None  # SocketCAN, when the joints' frames cross it
 
 
 Progress = Callable[[Any, float], None]  # system, wall seconds since the first tick
@@ -82,7 +88,13 @@ def assemble(request: Request, wrap: Callable[[str, Any], Any] = lambda _, node:
     scenario = request.scenario
     robot = description.load(scenario.robot)
     random = streams(request.seed)
-    with Family() as family:
+    with contextlib.ExitStack() as stack:
+        kernel = None
+        if request.can != "shm":
+            from hil.backends.socketcan import SocketCan
+
+            kernel = stack.enter_context(SocketCan(robot, scenario, request.can, request.external, request.interfaces))
+        family = stack.enter_context(Family())
         if request.clock == "wall":
             wall = WallClock(round(1e9 / scenario.firmware.rate))
             wall.request_priority()  # before the children are forked: they inherit it
@@ -92,7 +104,15 @@ def assemble(request: Request, wrap: Callable[[str, Any], Any] = lambda _, node:
 
         from joint_firmware.firmware import JointFirmware
 
-        nodes = [JointFirmware(robot, j, scenario.firmware, compile=compile_function) for j in range(len(robot.joints))]
+        nodes: list[Any] = [
+            JointFirmware(robot, j, scenario.firmware, compile=compile_function) for j in range(len(robot.joints))
+        ]
+        if request.external:
+            from hil.backends.external import ExternalJoint
+
+            for j, joint in enumerate(robot.joints):
+                if joint.node_id in request.external:
+                    nodes[j] = ExternalJoint(joint)
         run_name = request.out.name if request.out is not None else f"run-{os.getpid()}"
         joints: Any
         controller: Any
@@ -102,19 +122,24 @@ def assemble(request: Request, wrap: Callable[[str, Any], Any] = lambda _, node:
 
             shared = SharedPins(len(nodes))
             channel = {name: bus.name for bus in robot.buses for name in bus.joints}
-            controller = ProcessController(family, run_name, scenario, request.zenoh)
-            joints = ProcessJoints(
-                family, nodes, robot.joint_names, [channel[n] for n in robot.joint_names], shared
-            )
+            controller = ProcessController(family, run_name, scenario, _where(request))
+            if kernel is not None:
+                joints = kernel.joints(family, nodes, shared)
+            else:
+                joints = ProcessJoints(
+                    family, nodes, robot.joint_names, [channel[n] for n in robot.joint_names], shared
+                )
         from plant.world import World
 
         world = World(
             robot, scenario.world, scenario.terrain, scenario.stance, scenario.sensors, scenario.push, random,
             compile=compile_function, imu_rate=scenario.firmware.report_rate,
         )  # fmt: skip
+        from central_controller.controller import telemetry_fields
+
         if request.backend == "processes":
             world.attach_pins(shared.inputs, shared.outputs)
-            session = controller.open()
+            session = controller.open(len(telemetry_fields(robot)))
         else:
             from central_controller.controller import Controller
             from hil.backends.inline import InlineController, InlineJoints
@@ -123,7 +148,6 @@ def assemble(request: Request, wrap: Callable[[str, Any], Any] = lambda _, node:
             model = description.load(scenario.robot, scenario.controller.variant)
             controller = InlineController(Controller(model, scenario.controller, compile=compile_function))
 
-        from central_controller.controller import telemetry_fields
         from hil.journal import Journal
         from hil.recorder import Recorder
         from hil.system import System
@@ -152,10 +176,12 @@ def assemble(request: Request, wrap: Callable[[str, Any], Any] = lambda _, node:
                 Monitor(scenario.limits, channels),
                 journal,
             )
+            if kernel is not None:
+                kernel.connect(system)
             system.wires = [wrap("bus", wire) for wire in system.wires]
             pids = {"launcher": os.getpid(), **family.pids}
             endpoint = controller.endpoint if session is not None else None
-            assembly = Assembly(system, recorder, family, run_name, session, endpoint, pids, world)
+            assembly = Assembly(system, recorder, family, run_name, session, endpoint, pids, world, kernel=kernel)
             yield assembly
         finally:
             if assembly is not None and assembly.tap is not None:
@@ -164,6 +190,13 @@ def assemble(request: Request, wrap: Callable[[str, Any], Any] = lambda _, node:
             journal.close()
             if session is not None:
                 controller.close()
+
+
+def _where(request: Request) -> str | None:
+    """Where launcher and controller meet, as of ``bus.zenoh_link.peer_config``; None: by themselves."""
+    if request.zenoh_config is not None:
+        return f"config:{request.zenoh_config.resolve()}"
+    return f"router:{request.zenoh}" if request.zenoh is not None else None
 
 
 def run(
@@ -175,11 +208,14 @@ def run(
     failure: HilError | None = None
     if request.out is not None:
         request.out.mkdir(parents=True, exist_ok=True)
+        write_data_sheets(request.out, scenario)  # for masters that join while it runs
     with assemble(request) as assembly:
         system = assembly.system
         if prepare is not None:
             prepare(assembly)
         system.journal.write({"run": origin(request)})
+        if assembly.kernel is not None:
+            assembly.tap = system.tap = assembly.kernel.tools(system.tap)
         start_up = process_age()
         system.clock.start()
         first = time.monotonic()
@@ -193,17 +229,22 @@ def run(
             failure = error
         elapsed = time.monotonic() - first
         memory = {name: _resident(pid) for name, pid in assembly.pids.items()}
+        link = None
+        if failure is None and request.backend == "processes":
+            with contextlib.suppress(HilError):  # ended just now
+                link = assembly.system.controller.link_report()
         assembly.family.end()
         recorder = assembly.recorder
         if failure is None:
             system.journal.write({"end_ns": system.now_ns, "digest": recorder.digest()})
-    return _conclude(request, system, recorder, failure, elapsed, start_up, memory, assembly.world)
+    return _conclude(request, system, recorder, failure, elapsed, start_up, memory, assembly.world, link)
 
 
 def _conclude(
     request: Request, system: Any, recorder: Any, failure: HilError | None, elapsed: float, start_up: float,
-    memory: dict[str, int], world: Any,
+    memory: dict[str, int], world: Any, link: dict[str, Any] | None,
 ) -> Outcome:  # fmt: skip
+    from hil.bus_statistics import bus_statistics
     from hil.verdict import judge
 
     scenario = request.scenario
@@ -221,9 +262,12 @@ def _conclude(
         "seed": request.seed,
         "backend": request.backend,
         "clock": request.clock,
+        "can": request.can,
+        "external": list(request.external),
         "verdict": name,
         "reason": reason,
         "metrics": verdict.metrics,
+        "bus": bus_statistics(system.wires, scenario),
         "log_digest": recorder.digest(),
         "simulated_time": simulated,
         "realtime_factor": simulated / elapsed if elapsed > 0 else 0.0,
@@ -231,6 +275,7 @@ def _conclude(
         "memory_bytes": {**memory, "sum": sum(memory.values())},
         "wall_clock": system.clock.report(),
         "deliveries": system.deliveries(),
+        "link": link,
         "injected": system.injected,
         "tool_frames": system.tool_frames,
         "reproducible_from": system.reproducible_from,

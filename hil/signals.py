@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import difflib
+import mmap
+import os
 import struct
+import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -92,11 +95,14 @@ class Signals:
 
 
 def load_tables(path: str | Path) -> dict[str, Signals]:
-    """All channels of the run in directory ``path``, by name. Raises UserError if there is no record in it."""
-    from mcap.data_stream import ReadDataStream
+    """All channels of the run in directory ``path``, by name; of a run that was killed, what it had written.
+
+    Raises UserError if there is no record in it, or one that is damaged: its checksums are looked at.
+    """
     from mcap.exceptions import InvalidMagic, McapError
-    from mcap.records import Channel, Chunk
-    from mcap.stream_reader import StreamReader, get_chunk_data_stream
+    from mcap.records import Channel, Chunk, DataEnd
+    from mcap.stream_reader import StreamReader
+    from mcap.writer import MCAP0_MAGIC
 
     from hil.mcap_writer import FIELDS_KEY, message_type
 
@@ -105,27 +111,35 @@ def load_tables(path: str | Path) -> dict[str, Signals]:
     parts: dict[int, list[np.ndarray]] = {}
 
     def read_chunk(chunk: Chunk) -> None:
-        stream: ReadDataStream
-        stream, length = get_chunk_data_stream(chunk)
-        content = stream.read(length)
+        content = chunk.data
+        if chunk.compression or zlib.crc32(content) != chunk.uncompressed_crc:
+            raise ValueError("a chunk's checksum is wrong")
         channel = int.from_bytes(content[9:11], "little")  # of the first message; a chunk holds one channel
         parts[channel].append(np.frombuffer(content, message_type(len(names[channel][1]))))
 
     try:
         with file.open("rb") as source:
-            try:
-                for record in StreamReader(source, emit_chunks=True).records:
-                    if isinstance(record, Channel) and record.id not in names:
-                        signals = tuple(record.metadata[FIELDS_KEY].split(" "))
-                        names[record.id] = record.topic.removeprefix("/"), signals
-                        parts[record.id] = []
-                    elif isinstance(record, Chunk):
-                        read_chunk(record)
-            except InvalidMagic:
-                if not names:
-                    raise UserError(f"{file}: not an MCAP file") from None
-            except (McapError, struct.error):  # cut off where the run was killed
-                pass
+            if not os.fstat(source.fileno()).st_size:
+                raise UserError(f"{file}: not an MCAP file")
+            # mapped, because a length in a damaged file must not make us allocate it
+            with mmap.mmap(source.fileno(), 0, access=mmap.ACCESS_READ) as content:
+                try:
+                    for record in StreamReader(content, emit_chunks=True, validate_crcs=True).records:  # type: ignore[arg-type]
+                        if isinstance(record, Channel) and record.id not in names:
+                            signals = tuple(record.metadata[FIELDS_KEY].split(" "))
+                            names[record.id] = record.topic.removeprefix("/"), signals
+                            parts[record.id] = []
+                        elif isinstance(record, Chunk):
+                            read_chunk(record)
+                        elif isinstance(record, DataEnd):
+                            break  # what follows repeats the channels, without a checksum
+                except (McapError, struct.error, ValueError, KeyError, OverflowError) as error:
+                    if isinstance(error, InvalidMagic) and not names:
+                        raise UserError(f"{file}: not an MCAP file") from None
+                    complete = len(content) > len(MCAP0_MAGIC) and content[-len(MCAP0_MAGIC) :] == MCAP0_MAGIC
+                    if content.tell() < len(content) or complete:
+                        raise UserError(f"{file}: damaged before byte {content.tell()}") from None
+                    # else cut off where the run was killed
     except OSError as error:
         raise UserError(f"{file}: cannot be read ({error.strerror})") from None
     if not names:

@@ -111,6 +111,7 @@ class System:
             for b, bus in enumerate(robot.buses)
             for port, name in enumerate(bus.joints, start=GATEWAY_PORT + 1)
         }
+        self._accepts = [self._acceptance(robot, b) for b in range(len(robot.buses))]
         self.gateway = Gateway(robot)
         self.state_link = Link("link.state", scenario.link.state, streams)
         self.command_link = Link("link.command", scenario.link.command, streams)
@@ -148,6 +149,14 @@ class System:
         names = self._controller_rows.signals
         self._com_columns = [names.index(n) for n in ("com.x", "com.z", "com_reference.x", "com_reference.z")]
         self._com_error = 0.0
+
+    def _acceptance(self, robot: Robot, b: int) -> dict[int, list[tuple[int, int]]]:
+        """The acceptance filters of a bus's drives: port and joint of those that receive an identifier."""
+        accepts: dict[int, list[tuple[int, int]]] = {}
+        for port, joint in enumerate(self._joints_of[b], start=GATEWAY_PORT + 1):
+            for identifier in messages.accepted(robot.joints[joint].node_id):
+                accepts.setdefault(identifier, []).append((port, joint))
+        return accepts
 
     # --- running ------------------------------------------------------------------------------------------------
 
@@ -200,14 +209,15 @@ class System:
         if self.tap is not None and not missed >> self._tool_port[b] & 1:
             self.tap.broadcast(b, now, sender, frame)
         sound = type(frame.data) is bytes  # what a corrupted frame says is no fact about the run
-        if frame.id == messages.COMMAND:  # the acceptance filter of the drives' CAN controllers
-            for slot, joint in enumerate(self._joints_of[b]):
-                if missed >> slot + 1 & 1:
-                    continue
-                if sender != slot + 1:
+        receivers = self._accepts[b].get(frame.id)
+        if receivers is not None and not frame.extended and not frame.remote:
+            for port, joint in receivers:
+                if sender != port and not missed >> port & 1:
                     self._inboxes[joint].append(frame)
-                if sender == GATEWAY_PORT and sound:
-                    self._note_round_trip(now, joint, slot, frame.data)
+            if sender == GATEWAY_PORT and sound:  # which sends commands alone
+                for slot, joint in enumerate(self._joints_of[b]):
+                    if not missed >> slot + 1 & 1:
+                        self._note_round_trip(now, joint, slot, frame.data)
         if sender != GATEWAY_PORT and not missed >> GATEWAY_PORT & 1:
             item = self.gateway.from_can(now, b, frame)
             if item is not None:

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
+from bus.messages import GainSet
+from robots.description import Joint
 from robots.quantities import (
     Config,
     Gain,
@@ -28,7 +32,7 @@ class FirmwareConfig(Config):
     rate: Hertz = 3000.0  # ISR rate
     report_rate: Hertz = 1500.0  # drive states per second
     boot_time: Seconds = 0.02
-    heartbeat_period: Seconds = 0.1
+    heartbeat_period: Seconds = 0.1  # 0: none
     watchdog: Seconds = 0.005  # longest silence of the controller before a quick stop
     quick_stop_time: Seconds = 0.5  # damped for this long, then fault
     quick_stop_damping: TorquePerRate = 30.0
@@ -40,3 +44,13 @@ class FirmwareConfig(Config):
     position_stiffness: TorquePerRadian = 300.0  # of the motor in cyclic synchronous position, around the torque loop
     position_damping: TorquePerRate = 10.0
     soft_stop_stiffness: Gain = 200.0  # N m/rad beyond a joint limit
+
+
+class Settings(NamedTuple):
+    """What a master can change in a drive. It is lost with the drive's power."""
+
+    config: FirmwareConfig
+    joint: Joint
+    motor_offset: float = 0.0  # rad
+    spring_offset: float = 0.0  # rad
+    gain_set: int = GainSet.STANCE  # while no command frame names one

@@ -20,9 +20,8 @@ class DriveState(IntEnum):
     FAULT = Statusword.FAULT
 
 
-POWERED = frozenset(
-    {DriveState.OPERATION_ENABLED, DriveState.QUICK_STOP_ACTIVE, DriveState.FAULT_REACTION_ACTIVE}
-)
+# a tuple: to look for a member of an Enum in a set costs a call of its __hash__
+POWERED = (DriveState.OPERATION_ENABLED, DriveState.QUICK_STOP_ACTIVE, DriveState.FAULT_REACTION_ACTIVE)
 
 _S = DriveState
 

@@ -12,31 +12,38 @@ import numpy as np
 from bus import messages
 from bus.frames import Frame
 from bus.messages import GainSet, Mode
-from joint_firmware import law, protection
-from joint_firmware.config import FirmwareConfig
+from joint_firmware import law, protection, registers
+from joint_firmware.communication import Communication
+from joint_firmware.config import FirmwareConfig, Settings
 from joint_firmware.drive import POWERED, DriveState, transition
+from joint_firmware.memory import LawMemory
+from joint_firmware.object_dictionary import AbortCode, SdoAbort
+from joint_firmware.objects import drive_dictionary
+from joint_firmware.sdo import NEVER
 from robots import pins
 from robots.description import Robot
 
-_NMT_BOOT, _NMT_OPERATIONAL = 0x00, 0x05
 _STATE = struct.Struct("<" + messages.STATE_LAYOUT)  # filled with the integers that the law computed
 _SLOT = struct.Struct("<" + messages.SLOT_LAYOUT)
 _U16 = 0xFFFF
+_ENABLED = DriveState.OPERATION_ENABLED  # a member of an Enum is slow to look up
+_STOPPING = (DriveState.QUICK_STOP_ACTIVE, DriveState.FAULT_REACTION_ACTIVE)
+_NO_LIMIT = 1e9  # N m: the set-point's own limit where none comes with it
+_MODES = frozenset({Mode.NONE, Mode.TORQUE, Mode.POSITION, Mode.DAMPING})
 
 
 def _identity(function: ca.Function) -> ca.Function:
     return function
 
 
-def _view(array: np.ndarray) -> memoryview[float]:
-    """``array``'s memory, whose items read and write several times faster than the array's."""
-    return memoryview(array)  # type: ignore[arg-type, return-value]  # the stubs know bytes only
-
-
 class JointFirmware:
-    """One drive: CiA 402 state machine, watchdog, control law, reports. No I/O of its own.
+    """One drive: CiA 402 state machine, watchdog, control law, reports; a CANopen node. No I/O of its own.
 
     An output written in a tick takes effect at the next one, as with a PWM unit's shadow register.
+
+    Two sources can command it: the command frame, and a master's SDOs. The frame has precedence: while one has come
+    within the watchdog's time, and until the drive that it has enabled is at rest, SDOs that command are refused. Only
+    what came by the frame is watched.
     """
 
     def __init__(
@@ -51,57 +58,64 @@ class JointFirmware:
         self.name, self.node_id = joint.name, joint.node_id
         self._slot_offset = 4 + _SLOT.size * bus.joints.index(joint.name)
         self._state_id = messages.STATE + joint.node_id
-        self._heartbeat_id = messages.HEARTBEAT + joint.node_id
-        self._emergency_id = messages.EMERGENCY + joint.node_id
         rate = config.rate
         if rate % config.report_rate:
             slow = config.report_rate
             raise ValueError(f"rate ({rate:g} Hz) must be a multiple of report_rate ({slow:g} Hz)")
         self._ticks_per_report = round(rate / config.report_rate)
-        self._boot_ticks = round(config.boot_time * rate)
-        self._watchdog_ticks = max(round(config.watchdog * rate), 1)
         self._quick_stop_ticks = round(config.quick_stop_time * rate)
-        # heartbeats go out on ticks without a report, when the bus is idle, one drive after the other
-        period = max(round(config.heartbeat_period * rate), self._ticks_per_report)
-        self._heartbeat_ticks = period + (-period) % self._ticks_per_report
-        slot = 1 if self._ticks_per_report > 1 else 0
-        self._heartbeat_phase = (slot + self._ticks_per_report * joint.node_id) % self._heartbeat_ticks
-        gains = {GainSet.STANCE: config.stance, GainSet.SWING: config.swing}
-        self._gains = {index: (g.kp, g.ki, g.kd) for index, g in gains.items()}
         self._low = joint.limits[0] - protection.POSITION_MARGIN
         self._high = joint.limits[1] + protection.POSITION_MARGIN
         self._torque_fault = protection.TORQUE_FACTOR * config.torque_limit
+        self._defaults = Settings(config, joint)
 
-        self._counts = np.zeros(3)
-        self._x = np.zeros(law.STATE_SIZE)
-        self._u = np.zeros(law.INPUT_SIZE)
-        self._p = law.parameters(joint, config)
-        self._x_next = np.zeros(law.STATE_SIZE)
-        self._y = np.zeros(law.OUTPUT_SIZE)
-        self._function = compile(law.control_law())
-        self._bind()
+        self._law = memory = LawMemory(compile(law.control_law()))
+        self._evaluate, self._x, self._x_next = memory.evaluate, memory.x_array, memory.x_next_array
+        self._counts, self.x, self.u, self.y = memory.counts, memory.x, memory.u, memory.y
 
-        self._tick = 0
+        self.ticks = 0  # done; a timer that runs on through a reset, by which samples are numbered
+        self._sent: list[Frame] = []  # what the tick under way has to send
+        self.reset()
+        self.dictionary = drive_dictionary(robot, joint, config)
+        boot_ticks = round(config.boot_time * rate)
+        self._communication = Communication(
+            self.dictionary, self, rate, boot_ticks, self._ticks_per_report, config.heartbeat_period
+        )
+        registers.connect(self.dictionary, self)
+
+    def reset(self) -> None:
+        """Everything but the timer as after power-on."""
+        self._law.clear()
         self._drive = DriveState.NOT_READY
-        self._controlword = 0
-        self._command_counter: int | None = None
-        self._command_tick = 0
+        self.controlword = 0
+        self.mode: int = Mode.NONE
+        self.gain_set: int = GainSet.STANCE
+        self._command_counter: int | None = None  # None: no command frame is in force
+        self._command_tick = NEVER
         self._stop_tick = 0
-        self._error = 0
+        self.error = 0
         self._malformed = 0
+        self.configure(**self._defaults._asdict())
 
-    def _bind(self) -> None:
-        """Hand the law its memory once: a call then neither allocates nor converts."""
-        self._buffer, self._evaluate = self._function.buffer()
-        arguments = (self._counts, self._x, self._u, self._p)
-        for index, array in enumerate(arguments):
-            # a memoryview brings its size along; the stubs ask for it
-            self._buffer.set_arg(index, _view(array))  # type: ignore[call-arg, arg-type]
-        for index, array in enumerate((self._x_next, self._y)):
-            self._buffer.set_res(index, _view(array))  # type: ignore[call-arg, arg-type]
-        self._counts_view = _view(self._counts)
-        self._u_view = _view(self._u)
-        self._y_view = _view(self._y)
+    def configure(self, **changes: Any) -> None:
+        """Change ``settings``, from this tick on."""
+        previous = getattr(self, "settings", self._defaults)
+        self.settings = settings = previous._replace(**changes)
+        config = settings.config
+        self._watchdog_ticks = max(round(config.watchdog * config.rate), 1)
+        gains = {GainSet.STANCE: config.stance, GainSet.SWING: config.swing}
+        self._gains = {index: (g.kp, g.ki, g.kd) for index, g in gains.items()}
+        parameters = law.parameters(settings.joint, config, settings.motor_offset, settings.spring_offset)
+        self._law.p_array[:] = parameters
+        if (settings.joint.sensor, settings[2:4]) != (previous.joint.sensor, previous[2:4]):
+            self.x[law.STARTED] = 0.0  # a step of the calibration is no motion
+        if self._command_counter is None:
+            self.gain_set = settings.gain_set
+        self._use_gains()
+
+    def _use_gains(self) -> None:
+        u = self.u
+        u[law.U_KP], u[law.U_KI], u[law.U_KD] = self._gains.get(self.gain_set, self._gains[GainSet.STANCE])
 
     def attach(self, pins_in: np.ndarray, pins_out: np.ndarray) -> None:
         """Connect the pins: int32, ``robots.pins.N_INPUTS`` and ``N_OUTPUTS``."""
@@ -113,27 +127,43 @@ class JointFirmware:
         return self._drive
 
     @property
+    def powered(self) -> bool:
+        return self._drive in POWERED
+
+    @property
+    def counter(self) -> int:
+        """Counter of the command frame in force, 0 when none is."""
+        return self._command_counter or 0
+
+    @property
     def malformed(self) -> int:
         """Frames that were ignored because their length did not fit."""
-        return self._malformed
+        return self._malformed + self._communication.malformed
+
+    def pin(self, number: int) -> int:
+        """An input pin of ``robots.pins``."""
+        return self._in[number]
 
     # --- the ISR --------------------------------------------------------------------------------------------
 
     def tick(self, now_ns: int, frames: Sequence[Frame]) -> list[Frame]:
         """One interrupt: read pins, act on ``frames``, write pins. Returns the frames to send."""
-        tick = self._tick
+        tick = self.ticks
         sent: list[Frame] = []
         for frame in frames:
             if frame.id == messages.COMMAND and not frame.extended:
                 self._accept(frame.data, sent)
-        inputs, counts, y = self._in, self._counts_view, self._y_view
+            else:
+                self._sent = sent
+                self._communication.receive(frame, tick, sent)
+        inputs, counts, y = self._in, self._counts, self.y
         counts[0] = inputs[pins.MOTOR_ENCODER]
         counts[1] = inputs[pins.SPRING_ENCODER]
         counts[2] = inputs[pins.CURRENT_ADC]
         self._evaluate()
         self._x[:] = self._x_next
         silent = tick - self._command_tick >= self._watchdog_ticks
-        if silent or self._drive != DriveState.OPERATION_ENABLED:
+        if silent or self._drive is not _ENABLED:
             self._supervise(tick, sent)
         elif abs(y[law.Y_TORQUE_SI]) > self._torque_fault:
             self._fault(protection.OVER_TORQUE, sent)
@@ -142,12 +172,12 @@ class JointFirmware:
         powered = self._drive in POWERED
         self._out[pins.CURRENT_DEMAND] = int(y[law.Y_DEMAND]) if powered else 0
         self._out[pins.ENABLE] = 1 if powered else 0
-        if tick % self._ticks_per_report == 0:
-            sent.append(Frame(self._state_id, self._report(tick)))
-        if tick % self._heartbeat_ticks == self._heartbeat_phase:
-            booted = self._drive != DriveState.NOT_READY
-            sent.append(Frame(self._heartbeat_id, bytes([_NMT_OPERATIONAL if booted else _NMT_BOOT])))
-        self._tick = tick + 1
+        communication = self._communication
+        if tick % self._ticks_per_report == 0 and communication.reporting:
+            sent.append(Frame(self._state_id, self.report(tick)))
+        if tick >= communication.due:
+            communication.serve(tick, sent)
+        self.ticks = tick + 1
         return sent
 
     def _accept(self, data: bytes, sent: list[Frame]) -> None:
@@ -155,75 +185,137 @@ class JointFirmware:
 
         After a silence, a drive that is not enabled takes any counter: a restarted controller counts anew.
         """
+        if not self._communication.listening:
+            return
         if len(data) != messages.COMMAND_LENGTH:
             self._malformed += 1
             return
         counter = data[0] | data[1] << 8
         known = self._command_counter
         if known is not None and not messages.newer(counter, known):
-            silent = self._tick - self._command_tick >= self._watchdog_ticks
-            if not silent or self._drive == DriveState.OPERATION_ENABLED:
+            silent = self.ticks - self._command_tick >= self._watchdog_ticks
+            if not silent or self._drive is _ENABLED:
                 return  # a repeated frame must not feed the watchdog
         self._command_counter = counter
-        self._command_tick = self._tick
+        self._command_tick = self.ticks
         slot = _SLOT.unpack_from(data, self._slot_offset)
-        controlword, mode, gain_set, torque, position, velocity, limit, _ = slot
-        u = self._u_view
+        controlword, self.mode, self.gain_set, torque, position, velocity, limit, _ = slot
+        u = self.u
         u[law.U_TORQUE] = torque * messages.NEWTON_METRE
         u[law.U_POSITION] = position * messages.RADIAN
         u[law.U_VELOCITY] = velocity * messages.RADIAN_PER_SECOND
         u[law.U_LIMIT] = limit * messages.TORQUE_LIMIT
-        u[law.U_KP], u[law.U_KI], u[law.U_KD] = self._gains.get(gain_set, self._gains[GainSet.STANCE])
-        if controlword != self._controlword or self._drive != DriveState.OPERATION_ENABLED:
-            entered = transition(self._drive, controlword, self._controlword)
-            if entered == DriveState.QUICK_STOP_ACTIVE and self._drive != entered:
-                self._stop_tick = self._tick
-            if self._drive == DriveState.FAULT and entered != DriveState.FAULT:
-                self._error = 0
-                self._send_emergency(protection.NO_ERROR, 0, sent)
-            elif self._error and self._drive == DriveState.QUICK_STOP_ACTIVE and entered != self._drive:
-                entered = DriveState.FAULT  # a stop for cause ends in fault, also when it is cut short
-            self._drive = entered
-            self._controlword = controlword
-        self._set_mode(mode)
+        u[law.U_KP], u[law.U_KI], u[law.U_KD] = self._gains.get(self.gain_set, self._gains[GainSet.STANCE])
+        if controlword != self.controlword or self._drive is not _ENABLED:
+            self._switch(controlword, sent)
+        self._apply_mode(self.mode)
 
-    def _set_mode(self, mode: int) -> None:
+    def _switch(self, controlword: int, sent: list[Frame]) -> None:
+        """Act on a controlword, from whichever source."""
+        entered = transition(self._drive, controlword, self.controlword)
+        if entered == DriveState.QUICK_STOP_ACTIVE and self._drive != entered:
+            self._stop_tick = self.ticks
+        if self._drive == DriveState.FAULT and entered != DriveState.FAULT:
+            self.error = protection.NO_ERROR
+            self._communication.emergency(protection.NO_ERROR, sent)
+        elif self.error and self._drive == DriveState.QUICK_STOP_ACTIVE and entered != self._drive:
+            entered = DriveState.FAULT  # a stop for cause ends in fault, also when it is cut short
+        self._drive = entered
+        self.controlword = controlword
+
+    # --- commands by SDO --------------------------------------------------------------------------------------
+
+    def set_controlword(self, value: float) -> None:
+        """Act on a controlword. Raises SdoAbort while the command frame is in force."""
+        self._take_command()
+        before = self._drive
+        self._switch(int(value), self._sent)
+        if self._drive is _ENABLED is not before:
+            self._rest()
+        self._apply_mode(self.mode)
+
+    def set_mode(self, value: float) -> None:
+        """Change the mode of operation. Raises SdoAbort for an unknown one, and while the command frame is in force."""
+        if value not in _MODES:
+            raise SdoAbort(AbortCode.VALUE)
+        self._take_command()
+        if value != self.mode:
+            self.mode = int(value)
+            self._rest()
+        self._apply_mode(self.mode)
+
+    def set_target(self, torque: float | None = None, position: float | None = None) -> None:
+        """Change a set-point [N m, rad]. Raises SdoAbort while the command frame is in force."""
+        self._take_command()
+        if torque is not None:
+            self.u[law.U_TORQUE] = torque
+        if position is not None:
+            self.u[law.U_POSITION] = position
+
+    def _take_command(self) -> None:
+        if self._command_counter is None:
+            return
+        silent = self.ticks - self._command_tick >= self._watchdog_ticks
+        if not silent or self._drive is _ENABLED:  # enabled and silent: the watchdog comes first
+            raise SdoAbort(AbortCode.DEVICE_STATE)
+        self._command_counter = None
+        self._command_tick = NEVER
+        self.mode = Mode.NONE
+        self._rest()
+
+    def _rest(self) -> None:
+        """Set-points that move nothing: no old one may act when a drive is enabled or its mode changes."""
+        u = self.u
+        u[law.U_TORQUE] = u[law.U_VELOCITY] = 0.0
+        u[law.U_POSITION] = self.x[law.THETA]  # the motor's, which the spring's torque does not move
+        u[law.U_LIMIT] = _NO_LIMIT
+        self.gain_set = self.settings.gain_set
+        self._use_gains()
+
+    # --- states -----------------------------------------------------------------------------------------------
+
+    def _apply_mode(self, mode: int) -> None:
         """Weights of the law: the drive's state decides first what runs, the commanded mode second."""
-        u = self._u_view
-        enabled = self._drive == DriveState.OPERATION_ENABLED
+        u = self.u
+        enabled = self._drive is _ENABLED
         u[law.U_TORQUE_MODE] = float(enabled and mode == Mode.TORQUE)
         u[law.U_POSITION_MODE] = float(enabled and mode == Mode.POSITION)
-        stopping = self._drive in (DriveState.QUICK_STOP_ACTIVE, DriveState.FAULT_REACTION_ACTIVE)
+        stopping = self._drive in _STOPPING
         u[law.U_DAMPING_MODE] = float(stopping or (enabled and mode == Mode.DAMPING))
 
     def _supervise(self, tick: int, sent: list[Frame]) -> None:
-        """Everything but normal operation: boot, watchdog, the end of a quick stop."""
-        if self._drive == DriveState.NOT_READY:
-            if tick >= self._boot_ticks:
-                self._drive = DriveState.SWITCH_ON_DISABLED
-        elif self._drive == DriveState.OPERATION_ENABLED:
-            self._error = protection.WATCHDOG
-            self._send_emergency(protection.WATCHDOG, protection.COMMUNICATION_ERROR, sent)
-            self._drive = DriveState.QUICK_STOP_ACTIVE
-            self._stop_tick = tick
-            self._set_mode(Mode.DAMPING)
+        """Everything but normal operation: watchdog, the end of a quick stop."""
+        if self._drive is _ENABLED:
+            self.stop(sent)
         elif self._drive == DriveState.QUICK_STOP_ACTIVE and tick - self._stop_tick >= self._quick_stop_ticks:
             # a commanded stop ends switched off; a stop for cause ends in fault
-            self._drive = DriveState.FAULT if self._error else DriveState.SWITCH_ON_DISABLED
-            self._set_mode(Mode.NONE)
+            self._drive = DriveState.FAULT if self.error else DriveState.SWITCH_ON_DISABLED
+            self._apply_mode(Mode.NONE)
+
+    def stop(self, sent: list[Frame]) -> None:
+        """The master is lost, or has stopped the node: an enabled drive makes a quick stop, for cause."""
+        if self._drive is _ENABLED:
+            self.error = protection.WATCHDOG
+            self._communication.emergency(protection.WATCHDOG, sent)
+            self._drive = DriveState.QUICK_STOP_ACTIVE
+            self._stop_tick = self.ticks
+            self._apply_mode(Mode.DAMPING)
 
     def _fault(self, code: int, sent: list[Frame]) -> None:
         """Power off at once and say why."""
-        self._error = code
+        self.error = code
         self._drive = DriveState.FAULT
-        self._set_mode(Mode.NONE)
-        self._send_emergency(code, protection.GENERIC_ERROR, sent)
+        self._apply_mode(Mode.NONE)
+        self._communication.emergency(code, sent)
 
-    def _send_emergency(self, code: int, register: int, sent: list[Frame]) -> None:
-        sent.append(Frame(self._emergency_id, messages.encode_emergency(code, register)))
+    def booted(self) -> None:
+        """The node is on the bus: the drive may be switched on."""
+        if self._drive == DriveState.NOT_READY:
+            self._drive = DriveState.SWITCH_ON_DISABLED
 
-    def _report(self, tick: int) -> bytes:
-        y = self._y_view
+    def report(self, tick: int) -> bytes:
+        """The state of the last sample, as TPDO1 carries it."""
+        y = self.y
         statusword = int(self._drive)
         if self._in[pins.SWITCHES] & pins.FOOT_SWITCH:
             statusword |= messages.Statusword.FOOT_CONTACT
@@ -239,23 +331,30 @@ class JointFirmware:
             int(y[law.Y_CURRENT]),
             int(y[law.Y_MOTOR_VELOCITY]),
             self._command_counter or 0,
-            self._error & 0xFF,
+            self.error & 0xFF,
             min(max(temperature, 0), 255),
         )
 
     # --- state ----------------------------------------------------------------------------------------------
 
     _PLAIN = (
-        "_tick", "_drive", "_controlword", "_command_counter", "_command_tick", "_stop_tick", "_error",
-        "_malformed",
+        "ticks", "_drive", "controlword", "mode", "gain_set", "_command_counter", "_command_tick", "_stop_tick",
+        "error", "_malformed",
     )  # fmt: skip
 
     def snapshot(self) -> dict[str, Any]:
         """Everything that a tick depends on beside pins and frames."""
         plain = {name: getattr(self, name) for name in self._PLAIN}
-        return {**plain, "x": self._x.copy(), "u": self._u.copy(), "y": self._y.copy()}
+        return {
+            **plain,
+            "settings": tuple(self.settings),
+            "communication": self._communication.snapshot(),
+            **self._law.snapshot(),
+        }
 
     def restore(self, state: dict[str, Any]) -> None:
         for name in self._PLAIN:
             setattr(self, name, state[name])
-        self._x[:], self._u[:], self._y[:] = state["x"], state["u"], state["y"]
+        self.configure(**Settings(*state["settings"])._asdict())
+        self._communication.restore(state["communication"])
+        self._law.restore(state)

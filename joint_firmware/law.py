@@ -33,7 +33,7 @@ INPUT_SIZE = 10
     U_KP, U_KI, U_KD,
 ) = range(INPUT_SIZE)  # fmt: skip
 # parameters p, one vector per drive
-PARAMETER_SIZE = 15
+PARAMETER_SIZE = 17
 # output y: integers for the message and the pins, then the limit flag and the sensed values in SI
 OUTPUT_SIZE = 9
 (
@@ -45,8 +45,10 @@ _I32, _I16 = 2**31 - 1, 2**15 - 1
 _INTEGRAL_FADE_S = 0.1  # without integral gain, what was integrated fades instead of jumping
 
 
-def parameters(joint: Joint, config: FirmwareConfig) -> np.ndarray:
-    """The parameter vector of ``joint``'s drive (PARAMETER_SIZE)."""
+def parameters(
+    joint: Joint, config: FirmwareConfig, motor_offset: float = 0.0, spring_offset: float = 0.0
+) -> np.ndarray:
+    """The parameter vector of ``joint``'s drive (PARAMETER_SIZE); offsets of the encoders in rad."""
     dt = 1.0 / config.rate
     return np.array([
         1.0 / joint.sensor.encoder,
@@ -64,6 +66,8 @@ def parameters(joint: Joint, config: FirmwareConfig) -> np.ndarray:
         config.quick_stop_damping,
         config.position_stiffness,
         config.position_damping,
+        motor_offset,
+        spring_offset,
     ])  # fmt: skip
 
 
@@ -79,13 +83,13 @@ def control_law() -> ca.Function:
     (
         rad_per_count, rad_per_spring_count, stiffness, torque_per_ampere, current_limit, dt, blend,
         torque_limit, torque_step, low, high, stop_stiffness, quick_damping, position_stiffness,
-        position_damping,
+        position_damping, motor_offset, spring_offset,
     ) = ca.vertsplit(p)  # fmt: skip
     started = x[STARTED]
 
     # sensing: the spring sits between motor and joint
-    theta = counts[0] * rad_per_count
-    deflection = counts[1] * rad_per_spring_count
+    theta = counts[0] * rad_per_count - motor_offset
+    deflection = counts[1] * rad_per_spring_count - spring_offset
     position, torque = theta - deflection, stiffness * deflection
     motor_velocity = x[MOTOR_VELOCITY] + started * blend * ((theta - x[THETA]) / dt - x[MOTOR_VELOCITY])
     velocity = x[VELOCITY] + started * blend * ((position - x[POSITION]) / dt - x[VELOCITY])

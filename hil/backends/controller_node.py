@@ -17,11 +17,11 @@ def main(descriptor: int, parent: int) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the launcher's to handle
     die_with_parent(parent)
     pipe = Connection(descriptor)
-    run, robot, config, router = pipe.recv()
+    run, robot, config = pipe.recv()
 
     import zenoh
 
-    from bus.zenoh_link import MalformedBundleError, declare_publisher, keys, session_config
+    from bus.zenoh_link import MalformedBundleError, Refused, declare_publisher, decode_bundle, keys, peer_config
     from central_controller.controller import Controller
     from hil.backends.inline import serve
     from hil.backends.state_pipe import serve_pipe
@@ -29,22 +29,30 @@ def main(descriptor: int, parent: int) -> None:
     from robots import description
 
     controller = Controller(description.load(robot, config.variant), config, compile=compile_function)
-    endpoint = pipe.recv()  # the launcher's session listens by now
-    session = zenoh.open(session_config(None, endpoint, router=router is not None))
+    where = pipe.recv()  # the launcher's session is there by now
+    session = zenoh.open(peer_config(where))
     names = keys(run)
     inbox = session.declare_subscriber(names.state, zenoh.handlers.FifoChannel(64))
     publisher = declare_publisher(session, names.command)
     pipe.send("ready")
     quiet_collector()
+    refused = Refused()
+    due = 1  # sequence number of the launcher's next bundle
     while True:
-        bundle = inbox.recv().payload.to_bytes()
-        if not bundle:
-            serve_pipe(controller, pipe)
+        payload = inbox.recv().payload.to_bytes()
+        if not payload and pipe.poll():  # an empty sample: look at the pipe
+            serve_pipe(controller, pipe, refused=refused.report)
             continue
         try:
-            publisher.put(serve(controller, bundle))
-        except MalformedBundleError as error:  # not from the launcher, which awaits its own answer
-            sys.stderr.write(f"controller: ignored a malformed sample ({error})\n")
+            request = decode_bundle(payload)
+        except MalformedBundleError as error:
+            refused.count(error)
+            continue
+        if request.sequence != due:  # a stranger's, and well formed: it must not move the controller
+            refused.unexpected += 1
+            continue
+        due = (due + 1) & 0xFFFFFFFF
+        publisher.put(serve(controller, request))
 
 
 if __name__ == "__main__":

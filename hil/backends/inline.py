@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bus.frames import Frame
-from bus.zenoh_link import decode_bundle, encode_bundle
+from bus.zenoh_link import Bundle, decode_bundle, encode_bundle
 from hil.system import Item
 
 if TYPE_CHECKING:
@@ -42,9 +42,8 @@ class InlineJoints:
             node.restore(state)
 
 
-def serve(controller: Controller, bundle: bytes) -> bytes:
+def serve(controller: Controller, request: Bundle) -> bytes:
     """One tick of the controller, bundle in, bundle out: what travels over Zenoh in the processes backend."""
-    request = decode_bundle(bundle)
     for arrival, source, can_id, data in request.items:
         controller.receive(arrival, source, can_id, data)
     commands = controller.tick(request.time_ns)
@@ -52,10 +51,9 @@ def serve(controller: Controller, bundle: bytes) -> bytes:
     return encode_bundle(request.sequence, request.time_ns, items, controller.telemetry)
 
 
-def read_reply(bundle: bytes) -> tuple[list[Item], np.ndarray, int]:
-    """Commands, telemetry and sequence number of a controller's answer."""
-    reply = decode_bundle(bundle)
-    return [(source, can_id, data) for _, source, can_id, data in reply.items], reply.values, reply.sequence
+def commands_of(reply: Bundle) -> list[Item]:
+    """The commands in a controller's answer."""
+    return [(source, can_id, data) for _, source, can_id, data in reply.items]
 
 
 class InlineController:
@@ -68,11 +66,11 @@ class InlineController:
 
     def start(self, now_ns: int, items: list[tuple[int, int, int, bytes]]) -> None:
         self._sequence = (self._sequence + 1) & 0xFFFFFFFF
-        self._answer = serve(self._controller, encode_bundle(self._sequence, now_ns, items))
+        self._answer = serve(self._controller, decode_bundle(encode_bundle(self._sequence, now_ns, items)))
 
     def finish(self) -> tuple[list[Item], np.ndarray]:
-        commands, telemetry, _ = read_reply(self._answer)
-        return commands, telemetry
+        reply = decode_bundle(self._answer)
+        return commands_of(reply), reply.values
 
     def snapshot(self) -> Any:
         return self._controller.snapshot()

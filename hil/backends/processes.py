@@ -10,6 +10,7 @@ from __future__ import annotations
 import mmap
 import os
 import socket
+import time
 from collections.abc import Sequence
 from multiprocessing.connection import Connection
 from typing import TYPE_CHECKING, Any
@@ -20,8 +21,18 @@ import zenoh
 from bus.frames import Frame
 from bus.python_can import HilBus
 from bus.shm_port import ShmPort
-from bus.zenoh_link import bundle_sequence, declare_publisher, encode_bundle, keys, session_config
-from hil.backends.inline import read_reply
+from bus.zenoh_link import (
+    Bundle,
+    MalformedBundleError,
+    Refused,
+    declare_publisher,
+    decode_bundle,
+    encode_bundle,
+    keys,
+    peer_config,
+    session_config,
+)
+from hil.backends.inline import commands_of
 from hil.backends.lifecycle import Family, quiet_collector
 from hil.backends.state_pipe import connections, receive, serve_pipe
 from hil.errors import EmulationError
@@ -80,9 +91,14 @@ class ProcessJoints:
             node.attach(shared.inputs[j], shared.outputs[j])
             ours, theirs = connections()
             self._pipes.append(ours)
-            port = ShmPort(shared.ports[j], firmware=True)
+            port = self._firmware_port(j, channels[j], shared)
             following = go[j + 1] if j + 1 < len(go) else None
-            family.spawn(name, _joint_main, node, channels[j], port, shared.orders[j], go[j], following, theirs)
+            family.spawn(name, _joint_main, node, port, shared.orders[j], go[j], following, theirs)
+            port.shutdown()  # the joint's process has its own
+
+    def _firmware_port(self, joint: int, channel: str, shared: SharedPins) -> Any:
+        """What a joint's firmware is given: ``recv_frames()``, ``send_frame(frame)``, ``shutdown()``."""
+        return HilBus(channel=channel, port=ShmPort(shared.ports[joint], firmware=True))
 
     def start(self, now_ns: int, inboxes: list[list[Frame]], idle: Sequence[int] = ()) -> None:
         self._idle = idle
@@ -129,17 +145,15 @@ class ProcessJoints:
 
 def _joint_main(
     node: JointFirmware,
-    channel: str,
-    port: ShmPort,
+    port: Any,
     order: memoryview,
     go: int,
     following: int | None,
     pipe: Connection,
 ) -> None:
-    bus = HilBus(channel=channel, port=port)
     quiet_collector()
     wait, wake = os.eventfd_read, os.eventfd_write
-    recv_frames, send, tick = bus.recv_frames, bus.send_frame, node.tick
+    recv_frames, send, tick = port.recv_frames, port.send_frame, node.tick
     while True:
         wait(go)
         if order[_WHAT] == _TICK:
@@ -155,28 +169,29 @@ def _joint_main(
 class ProcessController:
     """The controller in its own process, behind Zenoh: one sample with all that arrived, one sample as the answer.
 
-    Answers are awaited by their sequence number.
+    Answers are awaited by their sequence number; any other sample is counted in ``refused`` and ignored.
+
+    Args:
+        where: where to meet, as of ``bus.zenoh_link.peer_config``; None: a session of this run's own, on loopback.
     """
 
-    def __init__(self, family: Family, run: str, scenario: Scenario, router: str | None) -> None:
+    def __init__(self, family: Family, run: str, scenario: Scenario, where: str | None) -> None:
         self._family = family
         self._run = run
         self._sequence = 0
-        self.malformed = 0
+        self.refused = Refused()
         self.session: zenoh.Session | None = None
-        self.endpoint = router or f"tcp/127.0.0.1:{free_port()}"
-        self._router = router
+        self.endpoint = where or f"tcp/127.0.0.1:{free_port()}"
+        self._own = where is None
         self._pipe, theirs = connections()
         family.execute("controller", "hil.backends.controller_node", theirs)
-        self._pipe.send((run, scenario.robot, scenario.controller, self._router))
+        self._pipe.send((run, scenario.robot, scenario.controller))
 
-    def open(self) -> zenoh.Session:
+    def open(self, values: int) -> zenoh.Session:
         """Open the launcher's session (after all children were forked: a session has threads) and meet the
-        controller's. Returns the session."""
-        if self._router:
-            config = session_config(None, self._router, router=True)
-        else:
-            config = session_config(self.endpoint, None)
+        controller's, whose answers carry ``values`` numbers. Returns the session."""
+        self._values = values
+        config = session_config(self.endpoint, None) if self._own else peer_config(self.endpoint)
         try:
             self.session = zenoh.open(config)
         except zenoh.ZError as error:
@@ -189,6 +204,7 @@ class ProcessController:
         receive(self._family, self._pipe)  # its session stands, its controller is built
         while not self._publisher.matching_status.matching:
             self._family.check()
+            time.sleep(0.001)  # with real-time priority on one core, a busy wait would keep the other end from coming
         return self.session
 
     def close(self) -> None:
@@ -203,26 +219,27 @@ class ProcessController:
         self._publisher.put(encode_bundle(self._sequence, now_ns, items))
 
     def finish(self) -> tuple[list[Item], np.ndarray]:
-        commands, telemetry, _ = read_reply(self._family.wait(self._answer, "the controller"))
-        return commands, telemetry
+        reply = self._family.wait(self._answer, "the controller")
+        return commands_of(reply), reply.values
 
-    def _answer(self) -> bytes | None:
+    def _answer(self) -> Bundle | None:
         """The awaited answer, if it has come."""
         sample = self._poll()
         if sample is None:
             return None
-        answer = sample.payload.to_bytes()
         try:
-            if bundle_sequence(answer) == self._sequence:
-                return answer
-        except ValueError:
-            pass
-        self.malformed += 1
+            reply = decode_bundle(sample.payload.to_bytes())
+        except MalformedBundleError as error:
+            self.refused.count(error)
+            return None
+        if reply.sequence == self._sequence and len(reply.values) == self._values:
+            return reply
+        self.refused.unexpected += 1
         return None
 
     def _ask(self, request: tuple[str, Any]) -> Any:
-        self._publisher.put(b"")  # an empty sample: look at the pipe
         self._pipe.send(request)
+        self._publisher.put(b"")  # an empty sample: look at the pipe
         return receive(self._family, self._pipe)
 
     def snapshot(self) -> Any:
@@ -230,6 +247,10 @@ class ProcessController:
 
     def restore(self, state: Any) -> None:
         self._ask(("restore", state))
+
+    def link_report(self) -> dict[str, dict[str, int]]:
+        """Samples that were ignored, at either end of the link, by reason."""
+        return {"launcher": self.refused.report(), "controller": self._ask(("refused", None))}
 
 
 def free_port() -> int:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import socket
+from collections.abc import Callable
 from multiprocessing.connection import Connection
 from typing import Any
 
@@ -27,9 +28,10 @@ def receive(family: Family, pipe: Connection) -> Any:
         raise EmulationError("a process of the run closed its pipe") from None
 
 
-def serve_pipe(node: Any, pipe: Connection) -> None:
-    """Answer one request for a node's state, if there is one: the order to look may be anybody's."""
-    if not pipe.poll(1.0):
-        return
+def serve_pipe(node: Any, pipe: Connection, **questions: Callable[[], Any]) -> None:
+    """Answer one request: for a node's state, for its replacement, or one of ``questions``."""
     what, state = pipe.recv()
-    pipe.send(node.snapshot() if what == "snapshot" else node.restore(state))
+    if what in questions:
+        pipe.send(questions[what]())
+    else:
+        pipe.send(node.snapshot() if what == "snapshot" else node.restore(state))

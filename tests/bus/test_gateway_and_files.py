@@ -115,14 +115,18 @@ def test_cantools_writes_a_command_that_the_codec_reads(
         assert read.torque_limit == pytest.approx(limit, abs=0.0101)
 
 
-def test_every_message_of_the_dbc_is_a_can_fd_frame_of_its_length() -> None:
+def test_every_message_of_the_dbc_is_a_frame_of_its_length_and_kind() -> None:
     for (_, bus), database in zip(BUSES, DATABASES, strict=True):
         expected = {messages.COMMAND: 64}
+        services = {messages.NMT: 2, messages.SYNC: 0}
+        for joint in ROBOT.joints_of(bus):
+            services |= {base + joint.node_id: 8 for base in (messages.SDO_REQUEST, messages.SDO_RESPONSE)}
         for joint in ROBOT.joints_of(bus):
             expected |= {messages.STATE + joint.node_id: 24, messages.HEARTBEAT + joint.node_id: 1}
             expected[messages.EMERGENCY + joint.node_id] = 8
-        assert {m.frame_id: m.length for m in database.messages} == expected
-        assert all(m.is_fd and not m.is_extended_frame for m in database.messages)
+        assert {m.frame_id: m.length for m in database.messages if m.is_fd} == expected
+        assert {m.frame_id: m.length for m in database.messages if not m.is_fd} == services
+        assert not any(m.is_extended_frame for m in database.messages)
 
 
 def test_cantools_reads_an_emergency() -> None:

@@ -335,7 +335,7 @@ def test_bit_errors_reach_clients_as_error_frames_and_frames_are_sent_again(tmp_
     # an error in the last bit of a frame comes too late for its receivers: they get it twice, as on a real bus
     assert list(dict.fromkeys(m.data[0] for m in heard if not m.is_error_frame)) == list(range(200))
     assert any(m.is_error_frame for m in heard)
-    assert told["identifiers"]["001"]["retransmitted"] == told["errors"] > 0
+    assert 0 < told["identifiers"]["001"]["retransmitted"] <= told["errors"]
     assert any(m.is_error_frame for m in can.LogReader(log / "frames.log"))
 
 

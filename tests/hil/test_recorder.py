@@ -95,6 +95,25 @@ def test_a_file_cut_at_any_byte_keeps_all_whole_chunks(tmp_path: Path) -> None:
     assert len(ends) == 6 and seen == {(name, rows) for name in CHANNELS for rows in (0, 3, 4, 6)}
 
 
+def test_a_file_with_any_byte_changed_is_refused_or_read_as_it_was(tmp_path: Path) -> None:
+    write(tmp_path)
+    file = tmp_path / SIGNALS_FILE
+    content, whole = file.read_bytes(), load_tables(tmp_path)
+    refused = 0
+    for at in range(len(content)):
+        file.write_bytes(content[:at] + bytes([content[at] ^ 1 << at % 8]) + content[at + 1 :])
+        try:
+            tables = load_tables(tmp_path)
+        except UserError as error:
+            assert str(file) in str(error)
+            refused += 1
+            continue
+        for name, table in whole.items():
+            np.testing.assert_array_equal(tables[name].times, table.times)
+            np.testing.assert_array_equal(tables[name].data, table.data)
+    assert refused >= content.index(b"\x0f", max(end for end, _, _ in chunks(content)))  # all before the data's end
+
+
 def chunks(content: bytes) -> Iterator[tuple[int, str, int]]:
     """End, channel and rows of every chunk, by walking the records of the data section."""
     at = 8

@@ -13,7 +13,7 @@ WATCHDOG_TICKS = 15  # 5 ms at 3 kHz
 STOP_TICKS = 1500  # 0.5 s at 3 kHz
 ENABLE = Controlword.ENABLE_OPERATION
 # the lowest bytes of the codes, as the state's error field carries them, and error registers of CiA 301
-WATCHDOG, OVER_TORQUE, POSITION = (0x8130, 0x10), (0x2310, 0x01), (0x8611, 0x01)
+WATCHDOG, OVER_TORQUE, POSITION = (0x8130, 0x11), (0x2310, 0x03), (0x8612, 0x21)
 
 
 def spinning(drive, ticks, frames=(), velocity=1.0):
