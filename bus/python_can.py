@@ -116,6 +116,8 @@ class HilBus(can.BusABC):
             raise can.CanInitializationError(str(error)) from None
         hello = self._connection.hello
         self._notice: str | None = hello.get("notice")
+        if not hello.get("fd", True):
+            self._can_protocol = can.CanProtocol.CAN_20
         self.channel_info = f"hil {hello['run']}/{hello['channel']}"
         try:
             super().__init__(channel=channel, **kwargs)
@@ -140,7 +142,7 @@ class HilBus(can.BusABC):
                 raise can.CanOperationError("the transmit buffer is full")
         elif not timeout:
             frame = to_frame(msg)
-            self._may_send().transmit(frame, timeout)
+            self._may_send(frame.fd).transmit(frame, timeout)
         else:
             deadline = time.monotonic() + timeout
             transmission = self.transmit(msg, timeout)
@@ -152,16 +154,18 @@ class HilBus(can.BusABC):
         ``timeout`` limits the wait for a place in the transmit buffer. Raises as ``send`` does.
         """
         frame = to_frame(msg)
-        connection = self._may_send()
+        connection = self._may_send(frame.fd)
         transmission = Transmission(connection)
         connection.transmit(frame, timeout, transmission)
         return transmission
 
-    def _may_send(self) -> PortConnection:
+    def _may_send(self, fd: bool) -> PortConnection:
         if self._connection is None:
             raise can.CanOperationError("a port in shared memory does not tell what becomes of a frame")
         if self._listen_only:
             raise can.CanOperationError("this port only listens: set state to BusState.ACTIVE")
+        if fd and self._can_protocol is can.CanProtocol.CAN_20:
+            raise can.CanOperationError("a classical bus does not carry CAN FD frames")
         if self._notice is not None:
             _log.warning("%s: %s", self.channel_info, self._notice)
             self._notice = None
@@ -185,7 +189,7 @@ class HilBus(can.BusABC):
         if self._connection is None or modifier_callback is not None:
             return super()._send_periodic_internal(msgs, period, duration, autostart, modifier_callback)
         messages = [msgs] if isinstance(msgs, can.Message) else msgs
-        task = BusTimeTask(self._may_send(), messages, period, duration)
+        task = BusTimeTask(self._may_send(any(message.is_fd for message in messages)), messages, period, duration)
         if autostart:
             task.start()
         return task

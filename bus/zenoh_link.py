@@ -61,6 +61,7 @@ class Keys(NamedTuple):
     command: str  # controller to gateway
     inject: str  # query: change an impairment
     telemetry: str  # live signals
+    status: str  # query: what a stand-alone bus has done
 
 
 def keys(run: str) -> Keys:

@@ -21,7 +21,8 @@ from collections.abc import Sequence  # noqa: E402
 from pathlib import Path  # noqa: E402
 from typing import Any, NoReturn  # noqa: E402
 
-from hil import bus_command  # noqa: E402
+from hil import bus_command, joint_command  # noqa: E402
+from hil.arguments import natural  # noqa: E402
 from hil.errors import EXIT_EMULATION, EmulationError, HilError, UserError  # noqa: E402
 
 
@@ -60,7 +61,7 @@ def _parser() -> argparse.ArgumentParser:
 
     run = commands.add_parser("run", help="run a scenario to its verdict")
     run.add_argument("scenario", metavar="SCENARIO", help="a built-in scenario or the path of a .toml file")
-    run.add_argument("--seed", type=_natural, default=0, metavar="N", help="of all random numbers (0)")
+    run.add_argument("--seed", type=natural, default=0, metavar="N", help="of all random numbers (0)")
     run.add_argument("--duration", metavar="S", help="simulated time, e.g. 5s")
     run.add_argument(
         "--backend", choices=("processes", "inline"), default="processes",
@@ -93,7 +94,7 @@ def _parser() -> argparse.ArgumentParser:
         "interfaces of the joints, or one plain SocketCAN interface per bus",
     )  # fmt: skip
     run.add_argument(
-        "--external", type=_natural, action="append", default=[], metavar="NODE",
+        "--external", type=natural, action="append", default=[], metavar="NODE",
         help="leave the joint with this node id to real hardware on its SocketCAN interface; repeatable",
     )  # fmt: skip
     run.add_argument(
@@ -125,18 +126,13 @@ def _parser() -> argparse.ArgumentParser:
     inject.add_argument("--list", action="store_true", help="list all keys with range, default and meaning")
     inject.set_defaults(command=_inject)
 
+    joint_command.add_parser(commands)
     from hil import replay
 
     replay.add_parser(commands)
     eds.add_parser(commands)
     bus_command.add_parser(commands)
     return parser
-
-
-def _natural(text: str) -> int:
-    if not (text.isascii() and text.isdigit() and len(text) <= 20):
-        raise argparse.ArgumentTypeError(f"{text!r}: expected 0, 1, 2 …")
-    return int(text)
 
 
 def _endpoint(text: str) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import time
 
-import numpy as np
+from hil.lateness import Lateness
 
 _SPIN_NS = 150_000  # the kernel wakes a sleeper this much too late at times: sleep short, then spin
 
@@ -13,6 +13,15 @@ _SPIN_NS = 150_000  # the kernel wakes a sleeper this much too late at times: sl
 def tick_ns(k: int, rate: int) -> int:
     """Time of tick ``k`` of a node at ``rate`` hertz, ns: no drift from rates that do not divide a second."""
     return k * 1_000_000_000 // rate
+
+
+def request_priority() -> str:
+    """Ask for real-time scheduling of this process and of those it will fork; returns what it got."""
+    try:
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(50))
+        return "SCHED_FIFO"
+    except OSError:
+        return "default (SCHED_FIFO not permitted)"
 
 
 class VirtualClock:
@@ -34,21 +43,17 @@ class WallClock:
     """Absolute deadlines on the monotonic clock. A late event runs at once, and the lateness is counted."""
 
     name = "wall"
-    EDGES_US = (0, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000, 10_000, 100_000, 1_000_000)
 
     def __init__(self, period_ns: int) -> None:
         self._period_ns = period_ns  # an event later than this has missed its deadline
         self._origin = 0
-        self._lateness_us: list[float] = []
+        self._lateness = Lateness()
+        self._missed = 0
         self.scheduling = "default"
 
     def request_priority(self) -> None:
         """Ask for real-time scheduling of this process and of those it will fork."""
-        try:
-            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(50))
-            self.scheduling = "SCHED_FIFO"
-        except (PermissionError, OSError):
-            self.scheduling = "default (SCHED_FIFO not permitted)"
+        self.scheduling = request_priority()
 
     def start(self) -> None:
         """Let time 0 be now."""
@@ -62,26 +67,23 @@ class WallClock:
             time.sleep((ahead - _SPIN_NS) * 1e-9)
         while (now := time.monotonic_ns()) < deadline:
             pass
-        self._lateness_us.append((now - deadline) * 1e-3)
+        self._lateness.add(now - deadline)
+        if now - deadline > self._period_ns:
+            self._missed += 1
 
     def report(self) -> dict[str, object]:
         """Lateness of all ticks: histogram, percentiles (µs), and the share that missed its deadline."""
-        lateness = np.asarray(self._lateness_us or [0.0])
-        counts, _ = np.histogram(lateness, bins=[*self.EDGES_US, np.inf])
-        p50, p99 = np.percentile(lateness, [50, 99])
-        missed = float(np.mean(lateness > self._period_ns * 1e-3))
+        lateness = self._lateness
+        missed = self._missed / max(lateness.events, 1)
         return {
             "scheduling": self.scheduling,
-            "ticks": len(lateness),
-            "lateness_p50_us": round(float(p50), 1),
-            "lateness_p99_us": round(float(p99), 1),
-            "lateness_max_us": round(float(lateness.max()), 1),
+            "ticks": lateness.events,
+            "lateness_p50_us": round(lateness.percentile_us(50), 1),
+            "lateness_p99_us": round(lateness.percentile_us(99), 1),
+            "lateness_max_us": round(lateness.longest_ns * 1e-3, 1),
             "missed_share": missed,
             "period_us": self._period_ns * 1e-3,
-            "slipped_s": round(float(lateness[-1]) * 1e-6, 4),
-            "histogram": {
-                f"{low} µs and more" if i == len(self.EDGES_US) - 1 else f"{low}–{self.EDGES_US[i + 1]} µs": int(n)
-                for i, (low, n) in enumerate(zip(self.EDGES_US, counts, strict=True))
-            },
-            "kept_up": missed < 0.01 and bool(lateness[-1] < 1e4),
+            "slipped_s": round(lateness.last_ns * 1e-9, 4),
+            "histogram": lateness.histogram(),
+            "kept_up": missed < 0.01 and lateness.last_ns < 10_000_000,
         }

@@ -9,10 +9,10 @@ from collections.abc import Callable
 from typing import Any
 
 from bus.frames import ErrorFrame, Frame
-from bus.ports import PortError, PortServer, find_runs
+from bus.ports import PortError, PortServer, find_runs, served
 from bus.zenoh_link import keys, peer_config
 from hil.errors import EmulationError, HilError, UserError
-from hil.injection import Injectable, injectable
+from hil.injection import Injectable, injectable, of_bus
 from hil.scenario import parse_value
 from hil.schema import nearest
 from robots import description
@@ -97,8 +97,31 @@ def serve_run(assembly: Any) -> None:
     if session is None:
         return
 
+    assembly.queryable = serve_injections(system, session, assembly.run_name, known)
+
+
+def serve_injections(system: Any, session: Any, run: str, known: list[str]) -> Any:
+    """Answer the injection queries for ``run``, which takes the keys ``known``: ``system`` has ``inject(key, value)``
+    and ``now_ns``, and runs its ``requests`` between two events. Returns the queryable."""
+
+    def change(text: str) -> dict[str, Any]:
+        try:
+            order = json.loads(text)
+            key, value = order["key"], order["value"]
+            if key not in known:
+                raise UserError(unknown_key(key, known))
+            return {"value": system.inject(key, value), "time": system.now_ns * 1e-9}
+        except (ValueError, KeyError, TypeError, RecursionError):
+            return {"error": 'expected {"key": …, "value": …}'}
+
+    return session.declare_queryable(keys(run).inject, between_events(system, change))
+
+
+def between_events(system: Any, respond: Callable[[str], dict[str, Any]]) -> Callable[[Any], None]:
+    """A handler of Zenoh queries: what ``respond(payload)`` returns, called between two events of ``system``."""
+
     def answer(query: Any) -> None:
-        """On a thread of Zenoh's: hand over to the calendar, which injects between two events."""
+        """On a thread of Zenoh's: hand over to the calendar, which responds between two events."""
         text = "" if query.payload is None else query.payload.to_bytes()[:1000].decode("utf-8", "replace")
         done = threading.Event()
         result: dict[str, Any] = {}
@@ -107,14 +130,7 @@ def serve_run(assembly: Any) -> None:
             if "error" in result:  # told that it will not happen
                 return
             try:
-                order = json.loads(text)
-                key, value = order["key"], order["value"]
-                if key not in known:
-                    raise UserError(unknown_key(key, known))
-                result["value"] = system.inject(key, value)
-                result["time"] = system.now_ns * 1e-9
-            except (ValueError, KeyError, TypeError, RecursionError):
-                result["error"] = 'expected {"key": …, "value": …}'
+                result.update(respond(text))
             except HilError as error:
                 result["error"] = str(error)
             done.set()
@@ -124,14 +140,13 @@ def serve_run(assembly: Any) -> None:
             result.setdefault("error", "the run does not take requests at the moment")
         query.reply(query.key_expr, json.dumps(result).encode())
 
-    assembly.queryable = session.declare_queryable(keys(assembly.run_name).inject, answer)
+    return answer
 
 
 def inject(key: str, value: str, run: str | None = None) -> str:
     """Change ``key`` of a run that is going on. Returns one sentence; raises UserError or EmulationError."""
-    import zenoh
-
     known = list(keys_of_all_robots())
+    known += [name for _, bus in served() for name in of_bus(bus) if name not in known]
     if key not in known:
         raise UserError(unknown_key(key, known))
     parse_value(key, value)
@@ -140,24 +155,36 @@ def inject(key: str, value: str, run: str | None = None) -> str:
         runs = {name: hello for name, hello in runs.items() if name == run}
     if not runs:
         raise UserError(f"no run {run!r} is going on" if run else "no run is going on")
+    if len(runs) > 1 and key.startswith("bus."):  # only some have this bus
+        serving = {name for name, channel in served() if channel == key.split(".")[1]}
+        runs = {name: hello for name, hello in runs.items() if name in serving} or runs
     if len(runs) > 1:
         raise UserError(f"several runs are going on, name one with --run: {', '.join(sorted(runs))}")
     name, hello = next(iter(runs.items()))
     if not hello.get("endpoint"):
         raise UserError(f"{name} runs inline, without Zenoh: put the change into its scenario as [[inject]]")
+    payload = json.dumps({"key": key, "value": value}).encode()
+    result = ask(name, hello["endpoint"], keys(name).inject, payload)
+    return f"{key} = {value} from {result['time']:.6f} s of {name} on"
+
+
+def ask(name: str, endpoint: str, key: str, payload: bytes = b"") -> dict[str, Any]:
+    """The answer of the run ``name`` to a query. Raises EmulationError when there is none, and UserError when it
+    refuses."""
+    import zenoh
+
     try:
-        session = zenoh.open(peer_config(hello["endpoint"]))
+        session = zenoh.open(peer_config(endpoint))
     except zenoh.ZError as error:
-        raise EmulationError(f"{name} cannot be reached at {hello['endpoint']}: {error}") from None
+        raise EmulationError(f"{name} cannot be reached at {endpoint}: {error}") from None
     try:
-        payload = json.dumps({"key": key, "value": value}).encode()
-        for reply in session.get(keys(name).inject, payload=payload, timeout=_ANSWER_TIMEOUT_S + 1):
+        for reply in session.get(key, payload=payload, timeout=_ANSWER_TIMEOUT_S + 1):
             if reply.ok is None:
                 break
             result = json.loads(reply.ok.payload.to_bytes())
             if "error" in result:
                 raise UserError(result["error"])
-            return f"{key} = {value} from {result['time']:.6f} s of {name} on"
+            return result
     finally:
         session.close()
     raise EmulationError(f"{name} did not answer")

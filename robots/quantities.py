@@ -20,12 +20,13 @@ _PREFIXED = {
     "m": {"m": 1.0, "cm": 1e-2, "mm": 1e-3},
     "rad": {"rad": 1.0, "mrad": 1e-3, "deg": math.pi / 180.0},
     "kg": {"kg": 1.0, "g": 1e-3},
+    "kg m²": {"kg m²": 1.0, "kgm²": 1.0, "kg m2": 1.0, "kgm2": 1.0},
     "N": {"N": 1.0, "kN": 1e3},
     "N m": {"N m": 1.0, "Nm": 1.0},
     "A": {"A": 1.0, "mA": 1e-3},
     "V": {"V": 1.0},
     "N m/rad": {"N m/rad": 1.0, "Nm/rad": 1.0},
-    "N m s/rad": {"N m s/rad": 1.0, "Nm s/rad": 1.0},
+    "N m s/rad": {"N m s/rad": 1.0, "Nm s/rad": 1.0, "Nms/rad": 1.0},
     "N m/s": {"N m/s": 1.0, "Nm/s": 1.0},
     "rad/s": {"rad/s": 1.0, "deg/s": math.pi / 180.0},
     "m/s": {"m/s": 1.0, "cm/s": 1e-2},
@@ -77,6 +78,7 @@ BitRate = _quantity("bit/s", gt=0)
 Metres = _quantity("m")
 Radians = _quantity("rad")
 Kilograms = _quantity("kg", ge=0)
+KilogramSquareMetres = _quantity("kg m²", gt=0)
 Newtons = _quantity("N")
 NewtonMetres = _quantity("N m", ge=0)
 Amperes = _quantity("A", ge=0)

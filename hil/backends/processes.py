@@ -181,7 +181,7 @@ class ProcessController:
         self._sequence = 0
         self.refused = Refused()
         self.session: zenoh.Session | None = None
-        self.endpoint = where or f"tcp/127.0.0.1:{_free_port()}"
+        self.endpoint = where or f"tcp/127.0.0.1:{free_port()}"
         self._own = where is None
         self._pipe, theirs = connections()
         family.execute("controller", "hil.backends.controller_node", theirs)
@@ -253,7 +253,8 @@ class ProcessController:
         return {"launcher": self.refused.report(), "controller": self._ask(("refused", None))}
 
 
-def _free_port() -> int:
+def free_port() -> int:
+    """A port of the loopback that nobody listens at."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         return probe.getsockname()[1]

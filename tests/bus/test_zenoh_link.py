@@ -72,7 +72,7 @@ def test_another_version_is_named() -> None:
 
 
 def test_keys_of_a_run() -> None:
-    assert keys("r1") == ("hil/r1/state", "hil/r1/command", "hil/r1/inject", "hil/r1/telemetry")
+    assert keys("r1") == ("hil/r1/state", "hil/r1/command", "hil/r1/inject", "hil/r1/telemetry", "hil/r1/status")
 
 
 _ECHO = """

@@ -1,0 +1,1 @@
+"""What runs without a scenario: a bus by itself, and one emulated joint on any bus."""
