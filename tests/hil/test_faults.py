@@ -79,7 +79,8 @@ def test_delay_shows_in_the_round_trip(clean: Outcome) -> None:
     before = np.median(round_trips(clean, "left"))
     outcome, _, _ = hung("bus.left_leg.delay=100us")
     assert np.median(round_trips(outcome, "left")) - before == pytest.approx(100e-6, abs=2e-6)
-    assert np.median(round_trips(outcome, "right")) == np.median(round_trips(clean, "right"))
+    # the other bus: but for stuff bits, other torques being commanded
+    assert np.median(round_trips(outcome, "right")) == pytest.approx(np.median(round_trips(clean, "right")), abs=1e-6)
     period, _, _ = hung("link.command.delay=666667ns")  # the commands meet the same traffic one period later
     assert np.median(round_trips(period, "left")) - before == pytest.approx(2e-3 / 3, abs=2e-6)
 

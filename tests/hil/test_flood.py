@@ -98,7 +98,7 @@ def test_the_lowest_priority_starves_nothing(out: Path, capsys: pytest.CaptureFi
     states = [key for key in before if key[0] & 0x780 == messages.STATE]
     assert len(states) == 3
     for key in (*states, (messages.COMMAND, False)):
-        assert after[key].frames >= before[key].frames - 1 >= 598  # the last may be under way
+        assert after[key].frames >= before[key].frames - 1 >= 568  # the last may be under way; none while they boot
         assert before[key].longest < after[key].longest <= before[key].longest + blocking
 
 
@@ -111,7 +111,7 @@ def test_a_priority_above_the_commands_starves_these_and_the_watchdog_ends_the_r
     states = [key for key in waits if key[0] & 0x780 == messages.STATE and key[0] != 0x1FF]
     blocking = frame_ns(Frame(0x1FF, bytes(8), False, False), 1e6, 5e6)
     assert max(waits[key].longest for key in states) < 170_000 + blocking  # after two other states
-    assert min(waits[key].frames for key in states) >= 1.21 * 1500
+    assert min(waits[key].frames for key in states) >= (1.21 - 0.02) * 1500  # none while they boot
     assert waits[(messages.COMMAND, False)].frames <= _STANDING * 1500e-9 + 1
 
 

@@ -28,18 +28,18 @@ def test_an_error_on_a_bus_is_recorded_and_told_as_the_tools_controller_has_it(t
             while not opening.done():
                 system.tap.poll()
         with opening.result() as bus:
-            system.run_until(5 * _MS)
-            system._note_error(left, 5 * _MS + 1, 1, ErrorFrame(0x4, bytes(8)))  # of a joint's controller
-            system._note_error(left, 5 * _MS + 2, tools, error)
-            system.run_until(10 * _MS)
+            system.run_until(25 * _MS)  # the drives have booted
+            system._note_error(left, 25 * _MS + 1, 1, ErrorFrame(0x4, bytes(8)))  # of a joint's controller
+            system._note_error(left, 25 * _MS + 2, tools, error)
+            system.run_until(30 * _MS)
             heard = []
             while (message := bus.recv(0)) is not None:
                 heard.append(message)
     errors = [m for m in heard if m.is_error_frame]
-    assert [(m.arbitration_id, bytes(m.data), round(m.timestamp * 1e9)) for m in errors] == [(*error, 5 * _MS + 2)]
+    assert [(m.arbitration_id, bytes(m.data), round(m.timestamp * 1e9)) for m in errors] == [(*error, 25 * _MS + 2)]
     assert len(heard) > 30
     lines = [line for line in (out / "left_leg.log").read_text().splitlines() if " 2000" in line]
-    assert lines == ["(0.005000002) left_leg 20000088#0000040800000809"]
+    assert lines == ["(0.025000002) left_leg 20000088#0000040800000809"]
     assert bytes.fromhex("20000088 08000000 0000040800000809") in (out / "left_leg.pcap").read_bytes()
 
 
