@@ -174,6 +174,43 @@ def _commands() -> list[bytes]:
     return [b"".join(frames), *frames]
 
 
+_BOOT_TICKS = 70
+_GAIN = bytes.fromhex("4000200100000000")  # upload of 0x2000:1, stance kp
+
+
+def sdo(data: bytes) -> None:
+    """A booted drive that is asked anything by SDO: it answers each request with eight bytes or none, and whatever has
+    been written, its gains stay finite and not negative."""
+    node, fresh, inputs, _ = _drive()
+    node.restore(fresh)
+    inputs[:] = 0
+    identifier = ROBOT.joints[0].node_id
+    for tick in range(_BOOT_TICKS):
+        node.tick(tick * 333_333, [])
+
+    def ask(tick: int, request: bytes) -> bytes | None:
+        sent = node.tick(tick * 333_333, [Frame(messages.SDO_REQUEST + identifier, request, False, False)])
+        answers = [checked(frame).data for frame in sent if frame.id == messages.SDO_RESPONSE + identifier]
+        assert len(answers) <= 1 and all(len(answer) == 8 for answer in answers)
+        return answers[0] if answers else None
+
+    requests = [data[n : n + 8] for n in range(0, min(len(data), 40 * 8), 8)]
+    for n, request in enumerate(requests):
+        ask(_BOOT_TICKS + n, request)
+    answer = ask(_BOOT_TICKS + len(requests), _GAIN)
+    if answer is not None and answer[0] == 0x43:  # not in NMT stopped or rebooting
+        gain = struct.unpack_from("<f", answer, 4)[0]
+        assert math.isfinite(gain) and gain >= 0
+
+
+def _requests() -> list[bytes]:
+    upload = bytes.fromhex("4018100100000000")  # identity
+    segmented = bytes.fromhex("4008100000000000 6000000000000000 7000000000000000")  # device name
+    gain = bytes.fromhex("23002001") + struct.pack("<f", 2.0)
+    controlword = bytes.fromhex("2b40600006000000")
+    return [upload, segmented, gain, gain + _GAIN, controlword, bytes.fromhex("8008100000000405")]
+
+
 # --- the Zenoh link -------------------------------------------------------------------------------------------
 
 
@@ -311,6 +348,7 @@ TARGETS = {
     "payload": Target(payload, lambda: [bytes(24), bytes(64), bytes(8), *(c[2:] for c in _commands())]),
     "gateway": Target(gateway, lambda: [b"\1\0\2\0\0" + bytes(64), b"\0\x81\1\0\0" + bytes(24)]),
     "firmware": Target(firmware, _commands),
+    "sdo": Target(sdo, _requests),
     "bundle": Target(bundle, _bundles),
     "injection": Target(injection, _injections),
     "setting": Target(setting, _settings),
