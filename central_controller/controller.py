@@ -26,6 +26,7 @@ from robots.description import Robot
 IMU_SOURCE = 255
 _FIELDS = len(State._fields)
 _WORD, _POSITION, _VELOCITY, _TORQUE = map(State._fields.index, ("statusword", "position", "velocity", "torque"))
+_RESYNC_NS = 50_000_000  # older states than the one known are ignored for no longer than this
 _TORQUE_LIMIT = 500.0  # N m: the drives' own limits are lower
 
 
@@ -147,7 +148,9 @@ class Controller:
             self._malformed += 1
             return
         counter = data[0] | data[1] << 8  # the layout's first field
-        if self._states[joint] and not messages.newer(counter, self._counters[joint]):
+        # Nothing newer for long: the drive's counter began anew, or the one known was wrong.
+        recent = self._states[joint] and arrival_ns - self._arrivals[joint] < _RESYNC_NS
+        if recent and not messages.newer(counter, self._counters[joint]):
             return
         self._states[joint] = data
         self._counters[joint] = counter

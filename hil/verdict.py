@@ -27,6 +27,7 @@ class VerdictConfig(Config):
     orientation_error: Annotated[Radians, Field(ge=0)] = 0.26
     foot_slip: Annotated[Metres, Field(ge=0)] = 0.03
     foot_lifted: Seconds = 0.1  # longest without load
+    drive_silent: Seconds = 0.1  # longest without a state of every drive at the controller
     fall_height: Gain = 0.6  # share of the CoM's height at the start below which the robot has fallen
     growth_rate: Gain = 0.2  # 1/s of an oscillation
     growth_amplitude: Annotated[Metres, Field(ge=0)] = 0.005  # m or rad, from which growth counts
@@ -57,6 +58,7 @@ class Monitor:
         self._feet_names = [world[i].split(".")[1] for i in self._feet]
         self._reference = [controller.index(f"com_reference.{axis}") for axis in "xz"]
         self._phase = controller.index("phase")
+        self._state_age = controller.index("state_age")
         self._height: float | None = None
         self._stood: list[np.ndarray] | None = None
 
@@ -76,6 +78,9 @@ class Monitor:
                 name = self._drives[joint].partition(".")[2]
                 what = "quick stop" if status == Statusword.QUICK_STOP_ACTIVE else "fault"
                 return f"drive in {what}: {name}, error code …{int(drives[self._n + joint]):02X}h, at {time:.2f} s"
+        if controller[self._phase] >= _ON and controller[self._state_age] > limits.drive_silent:
+            age, limit = 1e3 * controller[self._state_age], 1e3 * limits.drive_silent
+            return f"drive silent: no state of one for {age:.0f} ms (limit {limit:.0f} ms) at {time:.2f} s"
         if world[self._hoist] > 0:
             return None
         if self._stood is None:

@@ -143,8 +143,10 @@ class World:
         row[at + 3 : at + 6] = self._roll_pitch_yaw()
         row[at + 6 : at + 24] = sensed[3:21]  # com, com_velocity, feet, contacts
         at += 24
-        line = sensed[9:12] - sensed[12:15]  # from the left to the right foot
-        row[at] = line @ (sensed[15:18] - sensed[18:21]) / math.sqrt(line @ line)
+        # along the line from the left to the right foot; by hand, as products of a BLAS differ by processor
+        x, y, z = (sensed[9:12] - sensed[12:15]).tolist()
+        fx, fy, fz = (sensed[15:18] - sensed[18:21]).tolist()
+        row[at] = (x * fx + y * fy + z * fz) / math.sqrt(x * x + y * y + z * z)
         row[at + 1 : at + 4] = self._push[:3]
         row[at + 4] = self._hoist(self.time)
         row[at + 5 :] = self.data.qpos

@@ -186,6 +186,22 @@ def test_drives_are_walked_up_one_state_at_a_time_and_the_torque_grows(upright) 
     assert ramp[149] / ramp[299] == pytest.approx(0.5, abs=0.02)
 
 
+def test_a_drive_whose_counter_jumped_back_is_heard_again() -> None:
+    """Or the known one was wrong, as from a corrupted frame: its states look old, for up to 22 s."""
+    node_id = ROBOT.joints[0].node_id
+    controller = Controller(ROBOT, config())
+
+    def receive(now_ms: float, counter: int) -> bool:
+        data = messages.encode_state(State(counter, 0, 0, 0, 0, 0, 0, 0, 0, 25))
+        controller.receive(round(now_ms * 1e6), 0, messages.STATE + node_id, data)
+        return controller._counters[0] == counter
+
+    assert receive(0, 5) and not receive(1, 4)  # reordered
+    assert receive(2, 30_000)
+    assert not any(receive(2 + n, 6 + n) for n in range(50))
+    assert receive(52, 56) and receive(53, 57)
+
+
 def test_a_fault_is_never_reset_and_a_lost_drive_is_not_brought_back(upright) -> None:
     rig = Rig(config(), upright)
     rig.status[4] = Statusword.FAULT

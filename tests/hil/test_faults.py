@@ -22,7 +22,8 @@ from hil.scenario import load, parse_value
 from hil.system import Tap
 from robots import description
 
-HUNG = ["duration=0.4s", "controller.stand_at=0.05s", "world.hoist.hold=1s"]  # the robot hangs: no fault ends the run
+# the robot hangs: no fault ends the run
+HUNG = ["duration=0.4s", "controller.stand_at=0.05s", "world.hoist.hold=1s", "limits.drive_silent=1s"]
 
 
 class Listener(Tap):

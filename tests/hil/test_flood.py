@@ -117,6 +117,6 @@ def test_a_priority_above_the_commands_starves_these_and_the_watchdog_ends_the_r
 
 def test_the_highest_priority_starves_all_and_the_verdict_says_so(out: Path) -> None:
     outcome, wire = flooded("001", out, _STANDING)
-    assert outcome.exit_status == 1 and outcome.record["reason"].startswith("foot slipped: ")
+    assert outcome.exit_status == 1 and outcome.record["reason"].startswith("drive silent: ")
     before = _STANDING * 1500e-9 + 2
     assert all(wait.frames <= before for key, wait in wire.waits().items() if key != (1, False))

@@ -120,6 +120,14 @@ def test_errors_count_from_where_the_feet_stand_and_not_from_where_they_hung() -
     assert run.monitor() == (4000, "CoM error 60.0 mm (limit 50.0 mm) at 4.00 s")
 
 
+def test_a_drive_that_says_nothing_ends_the_run() -> None:
+    run = Run()
+    run.controller["state_age"][run.t >= 3.0] = 0.099
+    assert run.monitor() is None
+    run.controller["state_age"][run.t >= 4.0] = 0.101
+    assert run.monitor() == (4000, "drive silent: no state of one for 101 ms (limit 100 ms) at 4.00 s")
+
+
 def test_there_is_no_error_before_there_is_a_reference() -> None:
     """The controller's row holds zeros until it leaves its first phase."""
     run = Run()

@@ -57,6 +57,24 @@ def test_digest_is_equal_on_both_backends_repeated_and_under_load() -> None:
     assert digest("inline", seed=4) != reference
 
 
+def test_the_digest_does_not_depend_on_the_kernels_that_numpy_picks_for_the_processor() -> None:
+    """Which differ in the last bits: from machine to machine, and a run must not."""
+    from numpy._core._multiarray_umath import __cpu_dispatch__, __cpu_features__  # type: ignore[import-not-found]
+
+    picked = " ".join(name for name in __cpu_dispatch__ if __cpu_features__[name])
+    code = (
+        "from hil.run import Request, run; from hil.scenario import load; "
+        "print(run(Request(load('split-terrain', ['duration=0.3s']), seed=1, backend='inline')).record['log_digest'])"
+    )
+    digests = set()
+    for variables in ({}, {"OPENBLAS_CORETYPE": "Prescott"}, {"NPY_DISABLE_CPU_FEATURES": picked}):
+        done = subprocess.run(
+            [sys.executable, "-c", code], env={**os.environ, **variables}, capture_output=True, text=True, check=True
+        )
+        digests.add(done.stdout)
+    assert len(digests) == 1
+
+
 @pytest.mark.parametrize("backend", ["inline", "processes"])
 def test_a_restored_run_continues_as_the_uninterrupted_one(backend: str) -> None:
     request = Request(load("split-terrain", ROUGH), seed=5, backend=backend)
