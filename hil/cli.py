@@ -21,8 +21,8 @@ from collections.abc import Sequence  # noqa: E402
 from pathlib import Path  # noqa: E402
 from typing import Any, NoReturn  # noqa: E402
 
-from hil import bus_command, joint_command  # noqa: E402
-from hil.arguments import natural  # noqa: E402
+from hil.commands import bus_command, joint_command  # noqa: E402
+from hil.commands.arguments import natural  # noqa: E402
 from hil.errors import EXIT_EMULATION, EmulationError, HilError, UserError  # noqa: E402
 
 
@@ -54,7 +54,7 @@ def _complain(error: Exception) -> None:
 
 
 def _parser() -> argparse.ArgumentParser:
-    from hil import eds
+    from hil.commands import eds
 
     parser = _Parser(prog="hil", description="Hardware-in-the-loop style emulation of legged robots.")
     commands = parser.add_subparsers(required=True, metavar="COMMAND", parser_class=_Parser)
@@ -115,7 +115,7 @@ def _parser() -> argparse.ArgumentParser:
     bench.add_argument("--json", action="store_true")
     bench.set_defaults(command=_bench)
 
-    from hil import socketcan_selftest
+    from hil.selftest import socketcan_selftest
 
     socketcan_selftest.add_parser(commands)
 
@@ -127,7 +127,7 @@ def _parser() -> argparse.ArgumentParser:
     inject.set_defaults(command=_inject)
 
     joint_command.add_parser(commands)
-    from hil import replay
+    from hil.commands import replay
 
     replay.add_parser(commands)
     eds.add_parser(commands)
@@ -214,7 +214,7 @@ def _run(options: argparse.Namespace) -> int:
             outcome = run(request, prepare=serve_run)
             print(json.dumps(outcome.record, allow_nan=False))
             return outcome.exit_status
-        from hil.progress import Display
+        from hil.report.progress import Display
 
         with Display(scenario, sys.stderr) as display:
             outcome = run(request, display.update, prepare=serve_run)
@@ -330,10 +330,10 @@ def _bench(options: argparse.Namespace) -> int:
     if not 0.1 <= duration <= 3600:
         raise UserError(f"--duration {options.duration}: expected 0.1 s to 3600 s")
     if options.what == "bus":
-        from hil.bench_bus import bench_bus
+        from hil.commands.bench_bus import bench_bus
 
         return bench_bus(duration, as_json=options.json)
-    from hil.bench import bench
+    from hil.commands.bench import bench
 
     return bench(duration, as_json=options.json)
 

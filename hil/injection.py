@@ -18,7 +18,7 @@ from pydantic.fields import FieldInfo
 
 from bus.config import Babble, Background, Burst, BusConfig, Impairment, NodeFaults
 from hil.errors import UserError
-from hil.journal import Journal
+from hil.record.journal import Journal
 from robots.description import Robot
 
 if typing.TYPE_CHECKING:

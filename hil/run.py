@@ -16,8 +16,8 @@ from typing import Any
 
 from hil.backends.lifecycle import Family
 from hil.clock import VirtualClock, WallClock
+from hil.commands.eds import write_data_sheets
 from hil.compiled import compile_function, compiler
-from hil.eds import write_data_sheets
 from hil.errors import EXIT_STABLE, EXIT_UNSTABLE, EmulationError, HilError, Interrupted
 from hil.scenario import Scenario
 from hil.streams import streams
@@ -42,7 +42,7 @@ class Request:
     external: tuple[int, ...] = ()  # node ids of joints that are real hardware on their SocketCAN interface
     interfaces: Mapping[str, str] = field(default_factory=dict)  # SocketCAN interfaces to use in place of others
     report: bool = True
-    journal: Any = None  # a hil.journal.Journal to write to instead of the one of the directory
+    journal: Any = None  # a hil.record.journal.Journal to write to instead of the one of the directory
     log_formats: tuple[str, ...] = ()  # of each bus, beside candump's: of bus.logs.FORMATS
 
 
@@ -148,10 +148,10 @@ def assemble(request: Request, wrap: Callable[[str, Any], Any] = lambda _, node:
             model = description.load(scenario.robot, scenario.controller.variant)
             controller = InlineController(Controller(model, scenario.controller, compile=compile_function))
 
-        from hil.journal import Journal
-        from hil.recorder import Recorder
+        from hil.analysis.verdict import Monitor
+        from hil.record.journal import Journal
+        from hil.record.recorder import Recorder
         from hil.system import System
-        from hil.verdict import Monitor
 
         buses = [bus.name for bus in robot.buses]
         channels = {
@@ -244,8 +244,8 @@ def _conclude(
     request: Request, system: Any, recorder: Any, failure: HilError | None, elapsed: float, start_up: float,
     memory: dict[str, int], world: Any, link: dict[str, Any] | None,
 ) -> Outcome:  # fmt: skip
-    from hil.bus_statistics import bus_statistics
-    from hil.verdict import judge
+    from hil.analysis.bus_statistics import bus_statistics
+    from hil.analysis.verdict import judge
 
     scenario = request.scenario
     tables = {name: recorder.table(name) for name in ("world", "controller", "drives", "bus")}
@@ -311,11 +311,11 @@ def _write_directory(request: Request, record: dict[str, Any], tables: dict[str,
     partial.write_text(json.dumps(record, indent=2), encoding="utf-8")
     partial.replace(out / "run.json")  # never half a record
     if request.video and len(tables["world"]):
-        from hil.video import write_video
+        from hil.report.video import write_video
 
         write_video(out, world, tables["world"])
     if request.report and len(tables["world"]) > 10:
-        from hil.report import write_report
+        from hil.report.page import write_report
 
         write_report(out, record, tables)
 

@@ -14,8 +14,8 @@ from pydantic import Field, ValidationError
 from bus.config import BusConfig, LinkConfig
 from central_controller.config import ControllerConfig
 from hil import schema
+from hil.analysis.verdict import VerdictConfig
 from hil.errors import UserError
-from hil.verdict import VerdictConfig
 from joint_firmware.config import FirmwareConfig
 from plant.config import PushConfig, SensorConfig, StanceConfig, TerrainConfig, WorldConfig
 from robots import description

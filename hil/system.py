@@ -26,14 +26,14 @@ from bus.zenoh_link import IMU_SOURCE
 from hil.clock import VirtualClock, WallClock, tick_ns
 from hil.faults import Faults
 from hil.injection import Injector
-from hil.journal import Journal, frame_entry
-from hil.recorder import Recorder
+from hil.record.journal import Journal, frame_entry
+from hil.record.recorder import Recorder
 from hil.scenario import Scenario
 from hil.streams import StreamFactory
 from robots.description import Robot
 
 if TYPE_CHECKING:  # a backend forks its children before the physics is imported
-    from hil.verdict import Monitor
+    from hil.analysis.verdict import Monitor
     from plant.world import World
 
 GATEWAY_PORT = 0  # joints follow, then who only disturbs, and last the port of attached tools

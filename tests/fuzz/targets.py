@@ -26,11 +26,11 @@ from bus.messages import MalformedMessageError
 from bus.records import MalformedRecordError, pack_frame, unpack_frame
 from bus.shm_port import ShmPort
 from bus.zenoh_link import MalformedBundleError, decode_bundle, encode_bundle
+from hil.analysis.latency import state_latencies
 from hil.errors import UserError
-from hil.latency import state_latencies
-from hil.mcap_writer import McapWriter
+from hil.record.mcap_writer import McapWriter
+from hil.record.signals import SIGNALS_FILE, load_tables
 from hil.scenario import load, parse_value
-from hil.signals import SIGNALS_FILE, load_tables
 from robots import description, pins
 
 ROBOT = description.load("hume")
@@ -288,7 +288,7 @@ def _settings() -> list[bytes]:
 
 
 def background_text(data: bytes) -> None:
-    from hil.bus_load import background
+    from hil.commands.bus_load import background
 
     with contextlib.suppress(UserError):
         traffic = background(data.decode("utf-8", "replace"))

@@ -6,8 +6,8 @@ import multiprocessing
 import pytest
 
 from bus.ports import served
-from hil.bench_bus import NOTES, across_processes
 from hil.cli import main
+from hil.commands.bench_bus import NOTES, across_processes
 
 
 def test_all_five_are_measured_side_by_side(capsys: pytest.CaptureFixture[str]) -> None:

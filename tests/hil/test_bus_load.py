@@ -10,12 +10,12 @@ import pytest
 from bus.frames import Frame
 from bus.response_time import longest_frame
 from bus.timing import BitRates
-from hil import bus_sweep
-from hil.bus_load import background
-from hil.bus_sweep import LoadedWire, predict
+from hil.analysis.message_set import analyse, as_planned, load_table, traffic
 from hil.cli import main
+from hil.commands import bus_sweep
+from hil.commands.bus_load import background
+from hil.commands.bus_sweep import LoadedWire, predict
 from hil.errors import UserError
-from hil.message_set import analyse, as_planned, load_table, traffic
 from hil.run import Request, assemble
 from hil.scenario import load
 from hil.system import Tap

@@ -6,7 +6,7 @@ from bus.frames import Frame
 from bus.link import NEVER
 from bus.traffic import Traffic
 from bus.wire import Wire
-from hil.bus_statistics import bus_statistics, statistics_table
+from hil.analysis.bus_statistics import bus_statistics, statistics_table
 from hil.run import Request, run
 from hil.scenario import load
 from hil.streams import streams

@@ -16,7 +16,7 @@ from bus.frames import Frame
 from hil.errors import UserError
 from hil.faults import NodeSetter, _set_wire
 from hil.injection import Injector, injectable
-from hil.journal import Journal
+from hil.record.journal import Journal
 from hil.run import Outcome, Request, assemble, run
 from hil.scenario import load, parse_value
 from hil.system import Tap

@@ -12,13 +12,13 @@ from hypothesis import strategies as st
 
 from bus.messages import Statusword
 from central_controller.controller import Phase
-from hil.derived import Derived
-from hil.metrics import compute_metrics
-from hil.oscillation import Oscillation, dominant_oscillation
+from hil.analysis.derived import Derived
+from hil.analysis.metrics import compute_metrics
+from hil.analysis.oscillation import Oscillation, dominant_oscillation
+from hil.analysis.stiffness import fit_stiffness
+from hil.analysis.verdict import Monitor, VerdictConfig, judge
+from hil.record.signals import Signals
 from hil.scenario import load
-from hil.signals import Signals
-from hil.stiffness import fit_stiffness
-from hil.verdict import Monitor, VerdictConfig, judge
 from plant.config import TerrainConfig
 
 RATE, DURATION = 500, 8.0

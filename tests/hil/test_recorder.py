@@ -17,9 +17,9 @@ from mcap_ros2.decoder import DecoderFactory
 
 from bus.frames import ErrorFrame, Frame
 from hil.errors import UserError
-from hil.mcap_writer import McapWriter, field_names
-from hil.recorder import Recorder, RowRecorder
-from hil.signals import SIGNALS_FILE, Signals, UnknownSignalError, load_tables
+from hil.record.mcap_writer import McapWriter, field_names
+from hil.record.recorder import Recorder, RowRecorder
+from hil.record.signals import SIGNALS_FILE, Signals, UnknownSignalError, load_tables
 
 CHANNELS = {"world": ["com.x", "com.z", "q.left_knee"], "drives": ["error.left_knee"]}
 BUSES = ["left_leg", "right_leg"]

@@ -15,9 +15,9 @@ from hypothesis import strategies as st
 
 from bus.frames import Frame
 from hil.cli import main
+from hil.commands.replay import replay
 from hil.errors import UserError
-from hil.journal import Journal, frame_entry, frame_of, read
-from hil.replay import replay
+from hil.record.journal import Journal, frame_entry, frame_of, read
 from hil.run import Outcome, Request, run
 from hil.scenario import load
 from hil.system import Tap

@@ -12,12 +12,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hil.latency import state_latencies
-from hil.plots import draw, envelope
-from hil.report import write_report
+from hil.analysis.latency import state_latencies
+from hil.record.signals import Signals
+from hil.report.page import write_report
+from hil.report.plots import draw, envelope
 from hil.run import Outcome, Request, run
 from hil.scenario import load, validate
-from hil.signals import Signals
 
 SETTINGS = [
     "duration=1.2s", "limits.settle=0.9s", "world.hoist.hold=0.2s", "world.hoist.release=0.2s",

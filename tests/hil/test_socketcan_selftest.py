@@ -10,10 +10,10 @@ from pathlib import Path
 
 import pytest
 
-from hil import uml
 from hil.cli import main
 from hil.errors import UserError
-from hil.socketcan_selftest import TESTS
+from hil.selftest import uml
+from hil.selftest.socketcan_selftest import TESTS
 
 COMMAND = [sys.executable, "-m", "hil", "socketcan-selftest"]
 

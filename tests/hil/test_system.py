@@ -160,7 +160,7 @@ def test_sigkill_of_the_launcher_leaves_no_process_and_a_readable_log(tmp_path: 
     process.stdout.close()
     process.stderr.close()
     assert gone(children)
-    from hil.signals import load_tables
+    from hil.record.signals import load_tables
 
     assert len(load_tables(tmp_path / "run")["world"]) > 100
 

@@ -10,7 +10,7 @@ import imageio_ffmpeg
 import numpy as np
 
 from hil.errors import EmulationError
-from hil.signals import Signals
+from hil.record.signals import Signals
 
 FPS = 30
 _SIZE = (960, 544)

@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from hil.signals import Signals
+from hil.record.signals import Signals
 from robots import description
 
 _STYLE = """
@@ -98,8 +98,8 @@ def _numbers(record: Mapping[str, Any]) -> str:
 
 def write_report(directory: Path, record: Mapping[str, Any], tables: Mapping[str, Signals]) -> Path:
     """Write ``report.html`` into ``directory`` and return its path."""
-    from hil.bus_statistics import statistics_table
-    from hil.plots import draw
+    from hil.analysis.bus_statistics import statistics_table
+    from hil.report.plots import draw
     from hil.scenario import to_toml
 
     injected = _faults(record["configuration"])

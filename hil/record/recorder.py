@@ -13,7 +13,7 @@ import numpy as np
 from bus.candump import format_line
 from bus.frames import ErrorFrame, Frame
 from bus.logs import Log, open_log
-from hil.signals import SIGNALS_FILE, Signals
+from hil.record.signals import SIGNALS_FILE, Signals
 
 _BLOCK = 2048  # rows
 
@@ -106,7 +106,7 @@ class Recorder:
         self._other_logs: list[list[Log]] = [[] for _ in buses]
         self.flushed_ns = 0  # the directory is complete up to here
         if directory is not None:
-            from hil.mcap_writer import McapWriter
+            from hil.record.mcap_writer import McapWriter
 
             directory.mkdir(parents=True, exist_ok=True)
             self._mcap = McapWriter(directory / SIGNALS_FILE, channels)

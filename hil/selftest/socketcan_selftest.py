@@ -330,7 +330,7 @@ def _plain_run() -> str:
 
 def _external_joint() -> str:
     """A run in wall-clock time leaves one joint to a drive that is a program of its own on the joint's interface."""
-    if importlib.util.find_spec("hil.joint_command") is None:
+    if importlib.util.find_spec("hil.commands.joint_command") is None:
         raise NotRun("this version has no `hil joint`")
     from bus import messages
     from hil.run import Request, run
@@ -407,7 +407,7 @@ def test_here() -> Iterator[Result]:
 
 def test_in_guest(log: IO[str], limit_s: float) -> Iterator[Result]:
     """Run all tests inside user-mode Linux; its console goes to ``log``. Raises EmulationError when it fails itself."""
-    from hil.uml import Guest
+    from hil.selftest.uml import Guest
 
     with Guest([sys.executable, "-m", "hil", "socketcan-selftest", "--here"], limit_s) as guest:
         for line in guest:

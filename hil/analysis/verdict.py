@@ -11,12 +11,12 @@ import numpy as np
 from pydantic import Field
 
 from bus.messages import Statusword
-from hil.oscillation import Oscillation
+from hil.analysis.oscillation import Oscillation
 from robots.quantities import Config, Gain, Metres, Radians, Seconds
 
 if TYPE_CHECKING:
+    from hil.record.signals import Signals
     from hil.scenario import Scenario
-    from hil.signals import Signals
 
 
 class VerdictConfig(Config):
@@ -107,7 +107,7 @@ class Monitor:
 
 def judge(tables: Mapping[str, Signals], scenario: Scenario, stopped: str | None) -> Verdict:
     """Verdict and metrics of a finished run; ``stopped`` is what the monitor ended it for."""
-    from hil.metrics import compute_metrics
+    from hil.analysis.metrics import compute_metrics
 
     limits = scenario.limits
     if not len(tables["world"]) or not len(tables["controller"]):

@@ -104,7 +104,7 @@ def load_tables(path: str | Path) -> dict[str, Signals]:
     from mcap.stream_reader import StreamReader
     from mcap.writer import MCAP0_MAGIC
 
-    from hil.mcap_writer import FIELDS_KEY, message_type
+    from hil.record.mcap_writer import FIELDS_KEY, message_type
 
     file = Path(path) / SIGNALS_FILE
     names: dict[int, tuple[str, tuple[str, ...]]] = {}

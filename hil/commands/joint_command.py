@@ -8,7 +8,7 @@ import math
 import signal
 from typing import TYPE_CHECKING, Any
 
-from hil.arguments import natural
+from hil.commands.arguments import natural
 from hil.errors import EmulationError, UserError
 
 if TYPE_CHECKING:

@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from hil.derived import Derived
-from hil.oscillation import Oscillation, dominant_oscillation
-from hil.signals import Signals
-from hil.stiffness import fit_stiffness
+from hil.analysis.derived import Derived
+from hil.analysis.oscillation import Oscillation, dominant_oscillation
+from hil.analysis.stiffness import fit_stiffness
+from hil.record.signals import Signals
 from plant.config import TerrainConfig
 
 Metrics = dict[str, Any]

@@ -6,7 +6,7 @@ import html
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from hil.message_set import analyse, traffic
+from hil.analysis.message_set import analyse, traffic
 from hil.scenario import Scenario
 from robots import description
 

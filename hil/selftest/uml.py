@@ -15,8 +15,8 @@ import tempfile
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from hil import guard
 from hil.errors import EmulationError, UserError
+from hil.selftest import guard
 
 PACKAGES = "user-mode-linux can-utils iproute2 kmod"
 _MODULES = Path("/usr/lib/uml/modules")

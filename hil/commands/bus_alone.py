@@ -13,7 +13,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hil.arguments import natural
+from hil.commands.arguments import natural
 from hil.errors import UserError
 
 if TYPE_CHECKING:

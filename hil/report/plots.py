@@ -14,9 +14,9 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 
-from hil.derived import Derived
-from hil.latency import state_latencies
-from hil.signals import Signals
+from hil.analysis.derived import Derived
+from hil.analysis.latency import state_latencies
+from hil.record.signals import Signals
 from plant.config import TerrainConfig
 
 _POINTS = 1500

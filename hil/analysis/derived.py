@@ -12,7 +12,7 @@ from functools import cached_property
 
 import numpy as np
 
-from hil.signals import Signals
+from hil.record.signals import Signals
 from plant.config import TerrainConfig
 
 LOADED = 5.0  # N; a foot that presses less counts as lifted

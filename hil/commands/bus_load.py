@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING, Any
 from hil.errors import EXIT_STABLE, EXIT_UNSTABLE, UserError
 
 if TYPE_CHECKING:  # the command line starts without it
-    from hil.message_set import Traffic
+    from hil.analysis.message_set import Traffic
 
 
 def background(text: str) -> Traffic:
     """Additional traffic as ``IDENTIFIER:BYTES:PERIOD`` says, e.g. ``0x050:8:1ms``, or with ``:classic`` behind it.
     Raises UserError."""
     from bus.frames import CAN_FD_LENGTHS, EXTENDED_ID_LIMIT
-    from hil.message_set import Traffic
+    from hil.analysis.message_set import Traffic
 
     where = f"--with {text}"
     parts = text.split(":")
@@ -92,7 +92,7 @@ def add_parser(commands: Any) -> None:
 
 
 def _run(options: argparse.Namespace) -> int:
-    from hil.message_set import load_table, traffic
+    from hil.analysis.message_set import load_table, traffic
     from hil.scenario import load
     from robots import description
 

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from bus.frames import Frame
-from hil import journal
 from hil.errors import EXIT_STABLE, EXIT_UNSTABLE, EmulationError, UserError
+from hil.record import journal
 
 
 class Replay:

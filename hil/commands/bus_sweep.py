@@ -12,7 +12,7 @@ from hil.errors import EXIT_STABLE, UserError
 
 if TYPE_CHECKING:  # the command line starts without it
     from bus.frames import Frame
-    from hil.message_set import Traffic
+    from hil.analysis.message_set import Traffic
     from hil.scenario import Scenario
 
 _ABOVE, _BELOW = 0x010, 0x7F0  # identifiers of the background: before and behind all of the drives' and gateway's
@@ -44,7 +44,7 @@ def measure(scenario: Scenario, background: Traffic | None, seed: int) -> dict[s
     """One run with ``background`` on every bus: its round trip [s], verdict, and the longest time that each kind of
     frame waited for the bus [s]."""
     from bus.response_time import longest_frame
-    from hil.message_set import traffic
+    from hil.analysis.message_set import traffic
     from hil.run import Request, run
     from robots import description
 
@@ -86,7 +86,7 @@ def predict(scenario: Scenario, background: Traffic | None) -> dict[str, Any]:
     A command uses the newest states that have arrived by the controller's tick. When the last state can miss the
     tick of its own sample, it waits for the next.
     """
-    from hil.message_set import analyse, traffic
+    from hil.analysis.message_set import analyse, traffic
     from robots import description
 
     robot, controller = description.load(scenario.robot), scenario.controller
@@ -122,7 +122,7 @@ def sweep(
     """Runs and predictions for background of ``length`` bytes that takes each of ``shares`` of the bus."""
     from bus.response_time import longest_frame_ns
     from bus.timing import BitRates
-    from hil.message_set import Traffic
+    from hil.analysis.message_set import Traffic
 
     config = next(iter(scenario.bus.values()))
     rates = BitRates(config.arbitration_rate, config.data_rate)

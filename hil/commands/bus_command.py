@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from hil import bus_alone, bus_load, bus_sweep
+from hil.commands import bus_alone, bus_load, bus_sweep
 
 
 def add_parser(commands: Any) -> None:

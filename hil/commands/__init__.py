@@ -1,0 +1,1 @@
+"""The subcommands of ``hil``, one module each; ``hil.cli`` puts them together."""

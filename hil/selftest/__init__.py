@@ -1,0 +1,1 @@
+"""Real SocketCAN where the kernel has none: user-mode Linux, and what is tested inside it."""
