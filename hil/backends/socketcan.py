@@ -15,21 +15,18 @@ each interface the launcher sees what the joints see; what is more than they sen
 
 from __future__ import annotations
 
-import contextlib
 import mmap
-from collections import deque
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-import can
-
 from bus import messages
-from bus.frames import ErrorFrame, Frame
+from bus.frames import Frame
 from bus.link import NEVER
-from bus.socketcan import Interfaces, LostFramesError, SocketCanError, SocketCanPort
+from bus.socketcan import Interfaces, SocketCanError, SocketCanPort
 from bus.wire import Delivery
 from hil.backends.lifecycle import STUCK_AFTER_S, Family
 from hil.backends.processes import _IDLE, _TICK, _TIME, _WHAT, ProcessJoints, SharedPins
+from hil.backends.socketcan_tools import Taps, ToolInterfaces, reported
 from hil.errors import EmulationError, UserError
 from hil.faults import Faults
 from robots.description import Robot
@@ -42,14 +39,6 @@ MODES = ("socketcan", "socketcan-plain")
 GATEWAY_PORT = 0
 _EXPECTED, _SENT = 0, 1  # words of a joint's counts: frames on the way to it, frames it has sent since the start
 _FROM_NODES = (messages.EMERGENCY, messages.STATE, 0x580, messages.HEARTBEAT)  # + node id; 0x580: SDO answers
-
-
-@contextlib.contextmanager
-def _reported() -> Iterator[None]:
-    try:
-        yield
-    except (LostFramesError, can.CanError, OSError) as error:
-        raise EmulationError(f"SocketCAN: {error}") from None
 
 
 class _NodePort:
@@ -110,7 +99,7 @@ class TimedJoints(_SocketCanJoints):
 
     def start(self, now_ns: int, inboxes: list[list[Frame]], idle: Sequence[int] = ()) -> None:
         self._idle = idle
-        with _reported():
+        with reported():
             for j, (order, end, inbox) in enumerate(zip(self._orders, self._ends, inboxes, strict=True)):
                 for frame in inbox:
                     end.send_frame(frame)
@@ -125,7 +114,7 @@ class TimedJoints(_SocketCanJoints):
     def finish(self) -> list[list[Frame]]:
         self._family.wait(self._done, "the joints")
         outboxes: list[list[Frame]] = []
-        with _reported():
+        with reported():
             for j, end in enumerate(self._ends):
                 if j in self._idle:
                     outboxes.append([])
@@ -157,7 +146,7 @@ class KernelWire:
 
     def offer(self, now_ns: int, port: int, frame: Frame) -> bool:
         """Put a frame of the gateway's or a tool's on the bus."""
-        with _reported():
+        with reported():
             self._end.send_frame(frame)
         self.given += 1
         self._queue.append(Delivery(now_ns, port, frame))
@@ -236,7 +225,7 @@ class PlainJoints(_SocketCanJoints):
 
     def finish(self) -> list[list[Frame]]:
         self._family.wait(self._done, "the joints")
-        with _reported():
+        with reported():
             for wire, end, joints in zip(self.wires, self._ends, self._joints_of, strict=True):
                 sent = {j: self._sent(j) for j in joints}
                 total = sum(sent.values())
@@ -252,83 +241,6 @@ class PlainJoints(_SocketCanJoints):
     def close(self) -> None:
         for end in self._ends:
             end.shutdown()
-
-
-class ToolInterfaces:
-    """The interface of each whole bus, as a tap: shows every frame, takes the frames of tools.
-
-    A frame of a tool is on the interface when the tool sends it, and not once more when the wire has carried it.
-    """
-
-    def __init__(self, buses: Sequence[str]) -> None:
-        self._ends = [SocketCanPort(name) for name in buses]
-        self._own: list[deque[Frame]] = [deque(maxlen=256) for _ in buses]
-
-    def broadcast(self, bus: int, time_ns: int, sender: int, frame: Frame) -> None:
-        own = self._own[bus]
-        if frame in own:
-            own.remove(frame)
-            return
-        with _reported():
-            self._ends[bus].send_frame(frame)
-
-    def broadcast_error(self, bus: int, time_ns: int, sender: int, error: ErrorFrame) -> None:
-        with _reported():
-            self._ends[bus].send_error(error)
-
-    def set_state(self, bus: int, tec: int, rec: int, state: int) -> None:
-        """SocketCAN tells of a controller's state by error frames alone."""
-
-    def refused(self, bus: int, frame: Frame) -> None:
-        """The wire has not taken ``frame``, which is not to be left out when somebody else sends it."""
-        if frame in self._own[bus]:
-            self._own[bus].remove(frame)
-
-    def poll(self) -> list[tuple[int, Frame]]:
-        received = []
-        for bus, end in enumerate(self._ends):
-            for frame in end.waiting()[1]:
-                self._own[bus].append(frame)
-                received.append((bus, frame))
-        return received
-
-    def close(self) -> None:
-        for end in self._ends:
-            end.shutdown()
-
-
-class Taps:
-    """Several taps as one."""
-
-    def __init__(self, taps: Sequence[Any]) -> None:
-        self._taps = list(taps)
-        self._polled: list[tuple[Any, tuple[int, Frame]]] = []
-
-    def broadcast(self, bus: int, time_ns: int, sender: int, frame: Frame) -> None:
-        for tap in self._taps:
-            tap.broadcast(bus, time_ns, sender, frame)
-
-    def poll(self) -> list[tuple[int, Frame]]:
-        self._polled = [(tap, item) for tap in self._taps for item in tap.poll()]
-        return [item for _, item in self._polled]
-
-    def refused(self, bus: int, frame: Frame) -> None:
-        """A frame of the last ``poll``: told to the tap that it is from."""
-        for tap, (its_bus, its_frame) in self._polled:
-            if its_bus == bus and its_frame is frame:
-                tap.refused(bus, frame)
-
-    def broadcast_error(self, bus: int, time_ns: int, sender: int, error: ErrorFrame) -> None:
-        for tap in self._taps:
-            tap.broadcast_error(bus, time_ns, sender, error)
-
-    def set_state(self, bus: int, tec: int, rec: int, state: int) -> None:
-        for tap in self._taps:
-            tap.set_state(bus, tec, rec, state)
-
-    def close(self) -> None:
-        for tap in self._taps:
-            tap.close()
 
 
 def external_joints(robot: Robot, node_ids: Sequence[int]) -> frozenset[int]:

@@ -8,9 +8,10 @@ import pytest
 
 from bus import messages
 from bus.frames import Frame
-from hil.backends import socketcan
+from hil.backends import socketcan_tools
 from hil.backends.external import ExternalJoint
-from hil.backends.socketcan import KernelWire, SocketCan, Taps, ToolInterfaces, interface_names
+from hil.backends.socketcan import KernelWire, SocketCan, interface_names
+from hil.backends.socketcan_tools import Taps, ToolInterfaces
 from hil.cli import main
 from hil.errors import UserError
 from hil.scenario import load
@@ -140,7 +141,7 @@ def test_a_tools_frame_is_not_shown_twice(monkeypatch: pytest.MonkeyPatch) -> No
         ends.append(FakeEnd(channel))
         return ends[-1]
 
-    monkeypatch.setattr(socketcan, "SocketCanPort", make)
+    monkeypatch.setattr(socketcan_tools, "SocketCanPort", make)
     taps = Taps([ToolInterfaces(["left_leg"])])
     own, other = Frame(0x601, bytes(8), False, False), Frame(0x184, bytes(24))
     ends[0].incoming = [own]
@@ -154,7 +155,7 @@ def test_a_tools_frame_is_not_shown_twice(monkeypatch: pytest.MonkeyPatch) -> No
 
 def test_a_refused_frame_is_told_to_the_tap_that_it_is_from(monkeypatch: pytest.MonkeyPatch) -> None:
     ends: list[Any] = []
-    monkeypatch.setattr(socketcan, "SocketCanPort", lambda channel: ends.append(FakeEnd(channel)) or ends[-1])
+    monkeypatch.setattr(socketcan_tools, "SocketCanPort", lambda channel: ends.append(FakeEnd(channel)) or ends[-1])
     first, second = ToolInterfaces(["left_leg"]), ToolInterfaces(["left_leg"])
     taps = Taps([first, second])
     frame = Frame(0x601, bytes(8), False, False)
