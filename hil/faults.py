@@ -100,7 +100,7 @@ class Faults:
     def setters(self, links: Mapping[str, Link]) -> dict[str, Set]:
         """Who takes the injectable keys under which path; ``links`` by path."""
         setters: dict[str, Set] = {path: partial(_set_link, link) for path, link in links.items()}
-        setters |= {f"bus.{wire.name}": partial(_set_wire, wire) for wire in self._wires}
+        setters |= {f"bus.{wire.name}": partial(set_wire, wire) for wire in self._wires}
         setters |= {path: partial(self._set_talker, talker) for path, talker in self._talkers.items()}
         for bus, wire in zip(self._robot.buses, self._wires, strict=True):
             for port, name in enumerate((GATEWAY, *bus.joints)):
@@ -127,7 +127,8 @@ def _set_link(link: Link, key: str, value: Any, now_ns: int) -> None:
     link.set(key, value)
 
 
-def _set_wire(wire: Wire, key: str, value: Any, now_ns: int) -> None:
+def set_wire(wire: Wire, key: str, value: Any, now_ns: int) -> None:
+    """Set a key that is the wire's own. Raises KeyError for another, UserError for a wrong value."""
     if key != "damage":
         wire.set(key, value)
     elif value:

@@ -17,8 +17,10 @@ from typing import Any
 from bus.config import BusConfig
 from bus.link import NEVER
 from bus.records import ControllerState, pack_error
+from bus.talkers import Babbler, BackgroundTraffic, Talker
 from bus.wire import Wire
 from hil.errors import UserError
+from hil.faults import set_wire
 from hil.injection import of_bus
 from hil.lateness import Lateness
 from hil.scenario import parse_value
@@ -34,9 +36,9 @@ _PR_SET_TIMERSLACK = 29
 
 
 def injectable(name: str) -> list[str]:
-    """Keys of what can be injected into the stand-alone bus ``name``: what its wire does. It has no nodes of its own
-    that could babble."""
-    return [key for key in of_bus(name) if ".babble." not in key and ".background." not in key]
+    """Keys of what can be injected into the stand-alone bus ``name``: what its wire does, and two nodes of its own that
+    babble or load it."""
+    return list(of_bus(name))
 
 
 class _Requests(deque[Callable[[], None]]):
@@ -66,7 +68,13 @@ class StandaloneBus:
         self.injected: list[dict[str, Any]] = []
         self.lateness = Lateness()  # of deliveries
         self.misfits = 0  # CAN FD frames for a classical bus: its controllers could not send them
-        self._wire = Wire(name, config, MAX_CLIENTS, streams(seed))
+        random = streams(seed)
+        self._wire = Wire(name, config, MAX_CLIENTS + 2, random)
+        self._clientless = MAX_CLIENTS + 1  # a port that no client gets
+        self._talkers: dict[str, Talker] = {
+            "babble": Babbler(self._wire, MAX_CLIENTS, config.babble, fd),
+            "background": BackgroundTraffic(self._wire, MAX_CLIENTS + 1, config, random, fd),
+        }
         self._ports = ClientPorts(
             name, MAX_CLIENTS, endpoint, fd=fd, arbitration_rate=config.arbitration_rate,
             data_rate=config.data_rate,
@@ -92,13 +100,13 @@ class StandaloneBus:
     def serve(self) -> None:
         """Run the bus."""
         ctypes.CDLL(None).prctl(_PR_SET_TIMERSLACK, 1, 0, 0, 0)  # wake when told, not 50 µs later
-        select, wire = self._selector.select, self._wire
+        select = self._selector.select
         while not self._stopped:
             now = time.monotonic_ns() - self._origin
-            upcoming = wire.next_time()
+            upcoming = self._upcoming()
             if upcoming <= now:
                 self._advance(upcoming, now)
-                upcoming = wire.next_time()  # a loop that is late still looks at its sockets
+                upcoming = self._upcoming()  # a loop that is late still looks at its sockets
             if now >= self._flush_at:
                 self._flush(now)
             if now >= self._look_at:
@@ -112,10 +120,17 @@ class StandaloneBus:
                 self._attend(ready)
         self.now_ns = time.monotonic_ns() - self._origin
 
+    def _upcoming(self) -> int:
+        """Time of the next event on the wire, or of the next frame of a talker."""
+        return min(self._wire.next_time(), *[talker.next_ns for talker in self._talkers.values()])
+
     def _advance(self, due: int, now: int) -> None:
-        """The wire's events of the time ``due``, looked at at ``now``."""
+        """The events of the time ``due``, looked at at ``now``."""
         self.now_ns = due
         wire, ports = self._wire, self._ports
+        for talker in self._talkers.values():
+            if talker.next_ns <= due:
+                talker.advance(due)
         deliveries = wire.advance(due)
         for delivery in deliveries:
             time_ns, frame = delivery.time, delivery.frame
@@ -128,7 +143,8 @@ class StandaloneBus:
         for at, port, error in wire.error_frames():
             if port in ports.attached:
                 ports.attached[port].give(pack_error(error, at, port))
-            if self.record is not None:
+            # of the ports without a client one speaks for all
+            if self.record is not None and (port in ports.attached or port == self._clientless):
                 self.record.frame(at, error)
         for client in tuple(self._busy_clients):
             if client.in_wire > wire.waiting(client.port):
@@ -156,8 +172,8 @@ class StandaloneBus:
     def _catch_up(self) -> int:
         """The time now, with what has happened on the wire before it done."""
         now = max(time.monotonic_ns() - self._origin, self.now_ns)
-        while self._wire.next_time() < now:
-            self._advance(self._wire.next_time(), now)
+        while (due := self._upcoming()) < now:
+            self._advance(due, now)
         self.now_ns = now
         return now
 
@@ -199,8 +215,13 @@ class StandaloneBus:
     def inject(self, key: str, value: str | float) -> Any:
         """Change one impairment from now on. Returns its value in SI units; raises UserError for a wrong one."""
         parsed = parse_value(key, value)
+        path = key.removeprefix(f"bus.{self.name}.")
+        talker, _, of_talker = path.partition(".")
         try:
-            self._wire.set(key.removeprefix(f"bus.{self.name}."), parsed)
+            if talker in self._talkers:
+                self._talkers[talker].set(of_talker, parsed, self.now_ns)
+            else:
+                set_wire(self._wire, path, parsed, self.now_ns)
         except (KeyError, ValueError) as error:
             raise UserError(f"{key} = {value}: nothing to inject ({error})") from None
         self.injected.append({"time_s": self.now_ns * 1e-9, "key": key, "value": str(value)})

@@ -14,7 +14,7 @@ import pytest
 from bus import messages
 from bus.frames import Frame
 from hil.errors import UserError
-from hil.faults import NodeSetter, _set_wire
+from hil.faults import NodeSetter, set_wire
 from hil.injection import Injector, injectable
 from hil.record.journal import Journal
 from hil.run import Outcome, Request, assemble, run
@@ -237,7 +237,7 @@ class FakeWire:
 def test_faults_of_the_physical_layer_are_the_wires() -> None:
     wire: Any = FakeWire()
     knee = "bus.left_leg.node.left_knee"
-    setters = {knee: NodeSetter(wire, 3, None, None), "bus.left_leg": partial(_set_wire, wire)}
+    setters = {knee: NodeSetter(wire, 3, None, None), "bus.left_leg": partial(set_wire, wire)}
     scenario = load("stand", [f"{knee}.cut=true", "bus.left_leg.damage=0x182 crc:3", "inject=[{at='1s', until='2s', "
                               f"key='{knee}.bit_rate', value=1.02}}]"])  # fmt: skip
     injector = Injector(scenario, description.load("hume"), setters, Journal(None))

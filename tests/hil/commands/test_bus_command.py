@@ -203,6 +203,22 @@ def test_an_injected_delay_is_seen_in_the_round_trip_and_logged_with_its_time(
     assert json.loads((directory / "status.json").read_text())["injected"] == [injected]
 
 
+def test_nodes_of_the_bus_itself_load_it_and_babble_and_a_named_bit_is_damaged(
+    lab: tuple[str, int], tmp_path: Path
+) -> None:
+    name, _ = lab
+    with attach(name) as listener:
+        for key, value in (("background.load", "0.05"), ("babble.rate", "200Hz"), ("damage", "0x001 crc:3")):
+            result = hil("inject", f"bus.{name}.{key}", value, "--run", name, state=tmp_path)
+            assert result.returncode == 0, result.stderr
+        wait_for(lambda: status(name, tmp_path)["errors"] == 1, "the damaged bit")
+        heard: set[int] = set()
+        wait_for(lambda: heard.add(receive(listener).arbitration_id) or heard >= {0x001, 0x101, 0x110}, "all of them")
+    told = status(name, tmp_path)
+    assert told["identifiers"]["001"]["retransmitted"] == 1
+    assert all(one["retransmitted"] == 0 for key, one in told["identifiers"].items() if key != "001")
+
+
 def test_what_cannot_be_injected_is_refused(lab: tuple[str, int], tmp_path: Path) -> None:
     name, _ = lab
     for key, value, part in (
