@@ -4,11 +4,11 @@ the same user."""
 from __future__ import annotations
 
 import argparse
-import contextlib
 import json
 import os
 import re
 import signal
+import threading
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from bus.config import BusConfig
 
 _RATE = re.compile(r"(\d+(?:\.\d+)?)([kM])(?:bit/s)?")
+_CLOSE_S = 3.0  # that Zenoh may take to close
 _SLOWEST, _FASTEST_CLASSICAL, _FASTEST = 5_000, 1_000_000, 8_000_000  # bit/s; ISO 11898-2, CiA 601-4
 
 
@@ -187,6 +188,7 @@ def _serve(
 
         for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
             previous[number] = signal.signal(number, end)
+        signal.set_wakeup_fd(bus.wakeup_fd, warn_on_full_buffer=False)
         try:
             session = zenoh.open(session_config(endpoint, None))
         except zenoh.ZError as error:
@@ -203,12 +205,15 @@ def _serve(
         if record is not None:
             (record.directory / "status.json").write_text(json.dumps(bus.status(), indent=2), encoding="utf-8")
     finally:
+        signal.set_wakeup_fd(-1)
         bus.close()  # the clients first: they are told at once
         if record is not None:
             record.close()
         if session is not None:
-            with contextlib.suppress(zenoh.ZError):
-                session.close()
+            # for a query that is being answered, but not for ever: the bus is down
+            closing = threading.Thread(target=session.close, daemon=True)
+            closing.start()
+            closing.join(_CLOSE_S)
         for restored, handler in previous.items():
             signal.signal(restored, handler)
 

@@ -90,6 +90,10 @@ class StandaloneBus:
         self._selector = selectors.SelectSelector()  # the only one that sleeps to the microsecond
         self._selector.register(self._ports, selectors.EVENT_READ, None)
         self._selector.register(self.requests.bell, selectors.EVENT_READ, None)
+        # Python runs a signal's handler between two of its instructions: a signal that comes just before the wait would
+        # wait with it, but for what its C part writes here (signal.set_wakeup_fd).
+        self._signalled, self.wakeup_fd = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
+        self._selector.register(self._signalled, selectors.EVENT_READ, None)
 
     def stop(self) -> None:
         """Let ``serve`` return."""
@@ -158,6 +162,8 @@ class StandaloneBus:
             if key.fileobj is self._ports:
                 for new in self._ports.accept():
                     self._selector.register(new.socket, selectors.EVENT_READ, new)
+            elif key.fileobj == self._signalled:
+                os.read(self._signalled, 64)
             elif key.data is None:
                 os.eventfd_read(self.requests.bell)
                 while self.requests:
@@ -285,4 +291,5 @@ class StandaloneBus:
         self._stopped = True
         self._selector.close()
         self._ports.close()
-        os.close(self.requests.bell)
+        for descriptor in (self.requests.bell, self._signalled, self.wakeup_fd):
+            os.close(descriptor)

@@ -15,6 +15,7 @@ from typing import Any
 import can
 import pytest
 
+from bus.config import BusConfig
 from bus.frames import Frame
 from bus.port_client import peer
 from bus.ports import PortError, connect, served
@@ -22,6 +23,7 @@ from bus.records import pack_frame
 from bus.timing import frame_ns
 from hil.cli import main
 from hil.standalone.control import buses
+from hil.standalone.server import StandaloneBus
 from tests.support.standalone_processes import PATIENCE_S, hil, start, unique, wait_for
 
 RATES = {"arbitration_rate": 1e6, "data_rate": 5e6}
@@ -483,3 +485,28 @@ def test_a_directory_that_cannot_be_written_is_named(tmp_path: Path, capsys: pyt
         assert main(["bus", "up", unique("lab"), "--log", str(tmp_path / "file" / "logs"), *how]) == 2
         assert [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)] == handlers
         assert f"{tmp_path / 'file' / 'logs'}" in capsys.readouterr().err
+
+
+def test_a_signal_just_before_the_wait_ends_the_bus() -> None:
+    """After Python's last look for signals, before the wait: only what the handler's C part writes wakes it."""
+    bus = StandaloneBus(unique("lab"), BusConfig())
+    wait, before = bus._selector.select, signal.signal(signal.SIGTERM, lambda *_: bus.stop())
+    signal.set_wakeup_fd(bus.wakeup_fd, warn_on_full_buffer=False)
+
+    def late(timeout: float | None = None) -> Any:
+        signal.raise_signal(signal.SIGTERM)  # its handler runs when this returns, or would
+        bus._stopped = False  # as if it had not yet
+        os.eventfd_read(bus.requests.bell)
+        assert timeout is None  # it would wait for ever
+        ready = wait(PATIENCE_S)
+        assert ready
+        bus._stopped = True
+        return ready
+
+    bus._selector.select = late  # type: ignore[method-assign]
+    try:
+        bus.serve()
+    finally:
+        signal.set_wakeup_fd(-1)
+        signal.signal(signal.SIGTERM, before)
+        bus.close()
