@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
+from bus.config import BusConfig
 from bus.link import NEVER
 from bus.talkers import Talker
 from bus.wire import Wire
@@ -33,16 +34,22 @@ class ClientFaults:
     A fault of a client belongs to its plug: the next one at its port is sound.
 
     others: ports that no client has. They stand for other nodes, which acknowledge unless they are cut.
-    talkers: by key, with their ports; one that is silent is one of the others.
+    talkers: by key, with their ports; one that is silent is one of the others. config: what is wrong from the start.
     """
 
     def __init__(
-        self, name: str, wire: Wire, talkers: Mapping[str, tuple[Talker, int]], others: Sequence[int], cut: bool
+        self,
+        name: str,
+        wire: Wire,
+        talkers: Mapping[str, tuple[Talker, int]],
+        others: Sequence[int],
+        config: BusConfig,
     ) -> None:
         self._name, self._wire, self._talkers = name, wire, talkers
         self._others = set(others)
-        self._cut = cut
+        self._cut = OTHERS in config.node and config.node[OTHERS].cut
         self._connect_others(0)
+        set_wire(wire, "damage", config.damage, 0)
 
     def known(self, clients: Iterable[PortClient]) -> list[str]:
         """The keys that can be set with these clients."""

@@ -19,7 +19,6 @@ from bus.link import NEVER
 from bus.records import ControllerState, pack_error
 from bus.talkers import Babbler, BackgroundTraffic, Talker
 from bus.wire import Wire
-from hil.injection import OTHERS
 from hil.lateness import Lateness
 from hil.standalone.clients import ClientPorts, PortClient
 from hil.standalone.faults import ClientFaults
@@ -69,7 +68,7 @@ class StandaloneBus:
         self._talkers: tuple[Talker, ...] = (babbler, background)
         self._faults = ClientFaults(
             name, self._wire, {"babble": (babbler, MAX_CLIENTS), "background": (background, MAX_CLIENTS + 1)},
-            range(MAX_CLIENTS), OTHERS in config.node and config.node[OTHERS].cut,
+            range(MAX_CLIENTS), config,
         )  # fmt: skip
         self._ports = ClientPorts(
             name, MAX_CLIENTS, endpoint, fd=fd, arbitration_rate=config.arbitration_rate,
