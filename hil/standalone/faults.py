@@ -21,8 +21,12 @@ def unknown(name: str, key: str, clients: Iterable[Mapping[str, Any]]) -> str:
     """Why the bus ``name`` with ``clients`` (their summaries) does not take ``key``; a part of a sentence."""
     there = {client["node"]: f"{client['node']} ({client['process']}, {client['pid']})" for client in clients}
     node, _, fault = key.removeprefix(f"bus.{name}.node.").partition(".")
-    if key.startswith(f"bus.{name}.node.") and node not in there and node != OTHERS:
+    if not key.startswith(f"bus.{name}.node."):
+        return f"no such key{nearest(key, list(of_standalone_bus(name, list(there))))}"
+    if node not in there and node != OTHERS:
         return f"no client {node!r}; " + (f"attached: {', '.join(there.values())}" if there else "none is attached")
+    if node == OTHERS:
+        return f"the nodes that are no clients can only be cut (bus.{name}.node.{OTHERS}.cut)"
     if node in there and fault in OF_JOINTS:
         return f"{fault} is a fault of the joints of a run; a client's clock and node id are its own"
     return f"no such key{nearest(key, list(of_standalone_bus(name, list(there))))}"

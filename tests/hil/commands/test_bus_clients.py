@@ -383,7 +383,7 @@ def test_a_mistake_is_answered_with_what_there_is(up: Callable[..., Lab], capsys
             ("port0.bit_rate", "3", "expected at most 2"),
             ("port0.bit_rate", "fast", "expected a finite number"),
             ("port0.cut", "perhaps", "expected true or false"),
-            ("others.bit_rate", "1.1", f"did you mean '{path}.others.cut'?"),
+            ("others.bit_rate", "1.1", f"the nodes that are no clients can only be cut ({path}.others.cut)"),
         ):
             assert part in (said := refused(f"{path}.{key}", value)), said
     assert lab.status()["injected"] == []
