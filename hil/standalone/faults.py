@@ -65,7 +65,10 @@ class ClientFaults:
         Raises UserError for a wrong key or value.
         """
         clients = list(clients)
-        if key not in self.known(clients):
+        known = self.known(clients)
+        if key not in known:
+            if not key.startswith(f"bus.{self._name}.node."):
+                raise UserError(f"unknown key {key!r}{nearest(key, known)} (`hil inject --list bus.{self._name}`)")
             raise UserError(f"{key}: {unknown(self._name, key, [client.summary() for client in clients])}")
         parsed = parse_value(key, value)
         path = key.removeprefix(f"bus.{self._name}.")
