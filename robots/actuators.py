@@ -107,7 +107,7 @@ class Actuator(Config):
 
 
 class SeriesElastic(Actuator):
-    """A rotary series elastic actuator, seen from the joint but for gear ratio, torque constant, current limit, motor."""
+    """A rotary series elastic actuator, seen from the joint but for gear ratio, torque constant, current and motor."""
 
     kind: Literal["sea"] = "sea"
     stiffness: Positive  # N m/rad

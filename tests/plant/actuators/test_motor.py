@@ -31,7 +31,7 @@ def spin(bank, current, seconds, hold=None):
 
 def free(robot, index=0):
     """Without spring and losses: a rotor alone."""
-    bank, q, dq = alone(robot, index)
+    bank = alone(robot, index)[0]
     for name in ("stiffness", "damping", "viscous"):
         bank.set(0, name, 0.0)
     return bank
