@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from hil import compiled
-from joint_firmware import law
+from joint_firmware.laws import DriveLaw
 from plant.actuators.bank import Symbols
 from plant.actuators.model import ActuatorModel
 from robots import description
@@ -72,7 +72,7 @@ def is_compiled(function):
 
 
 @needs_compiler
-@pytest.mark.parametrize("function", [law.control_law(), ACTUATORS], ids=lambda f: f.name())
+@pytest.mark.parametrize("function", [DriveLaw("PID_m").function, ACTUATORS], ids=lambda f: f.name())
 def test_compiled_and_interpreted_results_are_equal_to_the_bit(function):
     fast = compiled.compile_function(function)
     assert is_compiled(fast)
