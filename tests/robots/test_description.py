@@ -73,6 +73,15 @@ def test_every_actuator_has_what_firmware_asks_for(name):
         assert (a.thermal is None) == (a.motor is None)
 
 
+@pytest.mark.parametrize(("joint", "nominal"), [("right_abduction", 0.74), ("left_knee", 0.50)])
+def test_hume_s_motors_stand_their_nominal_torque_for_ever(joint, nominal):
+    """Makers' data sheets, see robots/hume.toml: stalled at it, heat in is heat out at the winding's limit."""
+    a = description.load("hume").joint(joint).actuator
+    rise = a.thermal.winding_limit - 25.0
+    heat = a.motor.resistance * (1 + 0.00393 * rise) * (nominal / a.torque_constant) ** 2
+    assert heat * (a.thermal.winding_to_housing + a.thermal.housing_to_ambient) == pytest.approx(rise, rel=0.02)
+
+
 def test_the_vlca_in_equivalent_coordinates_has_the_source_s_resonance():
     """Kim 2018 Table 5.1 and (5.11) do not depend on the arm that the coordinates are scaled with."""
     a = description.load("vlca").joints[0].actuator
@@ -108,5 +117,5 @@ def test_limits_that_stretch_a_linkage_out_are_refused(tmp_path):
     path = tmp_path / "vlca.toml"
     source = resources.files("robots").joinpath("vlca.toml").read_text(encoding="utf-8")
     path.write_text(source.replace("limits = [-1.1, 0.6]", "limits = [-1.5, 0.6]"))
-    with pytest.raises(UnknownRobotError, match="joint ankle: limits .* stretch out or fold its linkage"):
+    with pytest.raises(UnknownRobotError, match=r"joint ankle: limits .* stretch out or fold its linkage"):
         description.load(str(path))
