@@ -21,7 +21,7 @@ from collections.abc import Sequence  # noqa: E402
 from pathlib import Path  # noqa: E402
 from typing import Any, NoReturn  # noqa: E402
 
-from hil.commands import bus_command, joint_command  # noqa: E402
+from hil.commands import bus_command, export, joint_command  # noqa: E402
 from hil.commands.arguments import natural  # noqa: E402
 from hil.errors import EXIT_EMULATION, EmulationError, HilError, UserError  # noqa: E402
 
@@ -131,6 +131,7 @@ def _parser() -> argparse.ArgumentParser:
 
     replay.add_parser(commands)
     eds.add_parser(commands)
+    export.add_parser(commands)
     bus_command.add_parser(commands)
     return parser
 
