@@ -35,8 +35,8 @@ class Precision(NamedTuple):
     digits: int
 
     def literal(self, value: float) -> str:
-        """``value`` as a constant of C: the nearest number, but a whole one beyond 2^24 is rounded towards zero in single
-        precision, so that what is bounded to an integer's range stays in it."""
+        """``value`` as a constant of C: the nearest number, but in single precision a whole one beyond 2^24 is rounded
+        towards zero, so that what is bounded to an integer's range stays in it."""
         if math.isnan(value):
             return "NAN"
         if math.isinf(value):
@@ -59,6 +59,7 @@ _HELPERS = {
     ca.OP_FMIN: ("smaller", "<", "fmin"),
     ca.OP_FMAX: ("larger", ">", "fmax"),
 }
+_EXACT = {"ceil", "fabs", "floor", "sqrt"}  # every libm returns the same bits
 _VECTORS = ("COUNT", "X", "U", "P")  # prefixes of the names of the function's arguments
 
 
@@ -77,29 +78,34 @@ def export(robot: Robot, joints: Sequence[str], law: str, precision: str, config
     Raises ValueError when the joints' laws differ in more than their parameters.
     """
     laws = {name: drive_law(law, robot.joint(name), config) for name in joints}
-    first = laws[joints[0]]
-    for name, other in laws.items():
-        if other.program != first.program:
-            raise ValueError(f"the laws of {joints[0]} and {name} differ in more than parameters: export one joint each")
-    return _Export(robot, first, laws, PRECISIONS[precision], config).files()
+    return source_files(robot, laws, precision, config.rate)
+
+
+def source_files(robot: Robot, laws: dict[str, DriveLaw], precision: str, rate: float) -> dict[str, str]:
+    """As ``export``, of ``laws`` by joint, stepped at ``rate`` [Hz]."""
+    (first, law), *others = laws.items()
+    for name, other in others:
+        if other.program != law.program:
+            raise ValueError(f"the laws of {first} and {name} differ in more than parameters: export each by itself")
+    return _Export(robot, law, laws, PRECISIONS[precision], rate).files()
 
 
 class _Export:
     def __init__(
-        self, robot: Robot, law: DriveLaw, laws: dict[str, DriveLaw], precision: Precision, config: FirmwareConfig
+        self, robot: Robot, law: DriveLaw, laws: dict[str, DriveLaw], precision: Precision, rate: float
     ) -> None:
-        self.robot, self.law, self.laws, self.precision, self.config = robot, law, laws, precision, config
+        self.law, self.laws, self.precision = law, laws, precision
         self.tables = {joint: f"{robot.name}_{joint}" for joint in laws}
         joints = "all joints" if len(laws) == len(robot.joints) > 1 else ", ".join(laws)
         version = metadata.version("hume-hil")
         self.origin = [
-            f"Robot {robot.name}, {joints}; law {law.name}, {precision.name} precision, {config.rate:g} Hz.",
+            f"Robot {robot.name}, {joints}; law {law.name}, {precision.name} precision, {rate:g} Hz.",
             f"Written by hume-hil {version} (hil export), law {law.program.fingerprint}; changes here will be lost.",
         ]
         self.words = {
             "origin": "\n".join(f" * {line}" for line in self.origin),
             "law": law.name, "version": version, "fingerprint": law.program.fingerprint,
-            "rate": f"{config.rate:g}", "real": precision.real, "digits": str(precision.digits),
+            "rate": f"{rate:g}", "real": precision.real, "digits": str(precision.digits),
             "what": f"{robot.name}: {joints}",
         }  # fmt: skip
 
@@ -130,16 +136,19 @@ class _Export:
             ("COUNT", "COUNTS", law.counts, "Input pins, as the electronics counts them."),
             ("X", "STATES", law.state, "State x."),
             ("U", "INPUTS", law.input, "Inputs u."),
-            ("P", "PARAMETERS", law.parameters, "Parameters p of a joint, \"as seen from the joint\" unless a motor's."),
-            ("Y", "OUTPUTS", law.outputs, "Outputs y; whole numbers are exact and fit into the drive's messages."),
+            ("P", "PARAMETERS", law.parameters, "Parameters p of a joint."),
+            ("Y", "OUTPUTS", law.outputs, "Outputs y; whole numbers fit into an int32_t."),
         )  # fmt: skip
         gains = next(iter(law.gains.values()))
         gain_quantities = [q for q in law.input if q.name in gains]
         exact = {
-            "double": "those of the emulation, bit for bit",
-            "single": "the same on every processor with IEEE 754 arithmetic, bit for bit",
+            "double": "bit for bit those of the emulation",
+            "single": "bit for bit the same on\n * every processor with IEEE 754 arithmetic",
         }[self.precision.name]
-        counted = [f" *     {n:4d} {KINDS[kind]}" for kind, n in law.program.count().items() if n]
+        inexact = [name for name in _library(law.program, self.precision) if name.removesuffix(self.precision.suffix) not in _EXACT]
+        if inexact:
+            exact += f",\n * as far as its {', '.join(inexact)} round alike"
+        counted = [f" *     {n:4d} {KINDS[kind]}" for kind, n in law.program.counted.items() if n]
         return self._fill(
             "joint_law.h",
             first_table=next(iter(self.tables.values())),
@@ -217,7 +226,7 @@ class _Export:
         )
 
     def _readme(self) -> str:
-        counted = [f"| {KINDS[kind]} | {n} |" for kind, n in self.law.program.count().items()]
+        counted = [f"| {KINDS[kind]} | {n} |" for kind, n in self.law.program.counted.items()]
         rows = [f"| `{table}.c` | parameters of {joint} |" for joint, table in self.tables.items()]
         return self._fill(
             "README.md",
@@ -270,7 +279,8 @@ def _library(program: Program, precision: Precision) -> list[str]:
 
 def _helper(name: str, symbol: str, like: str) -> str:
     return (
-        f"static inline joint_law_real {name}(joint_law_real a, joint_law_real b) /* as {like}: a number wins over NaN */\n"
+        f"/* As {like}: a number wins over NaN. */\n"
+        f"static inline joint_law_real {name}(joint_law_real a, joint_law_real b)\n"
         f"{{\n    return (a {symbol} b || b != b) ? a : b;\n}}\n\n"
     )
 

@@ -1,4 +1,4 @@
-"""What is exported of a drive: its law's function, and a name, a unit and a meaning for every number that goes in or out.
+"""What is exported of a drive: its law's function, and name, unit and meaning of every number that goes in or out.
 
 The only module of the export that knows how the firmware builds its law.
 """
@@ -30,8 +30,8 @@ class Quantity(NamedTuple):
 class DriveLaw(NamedTuple):
     """The law of one drive.
 
-    ``function(counts, x, u, p) -> (x_next, y)``; ``counts`` … ``outputs`` describe these vectors item by item, ``values``
-    is p of this joint, ``gains`` says what of u a gain set fills in.
+    ``function(counts, x, u, p) -> (x_next, y)``; ``counts`` … ``outputs`` describe these vectors item by item,
+    ``values`` is p of this joint, ``gains`` says what of u a gain set fills in.
     """
 
     name: str

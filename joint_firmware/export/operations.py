@@ -24,8 +24,9 @@ KINDS = {
 
 
 class Operation(NamedTuple):
-    """How one operation is counted and written: ``{0}``, ``{1}`` are its operands, ``{f}`` is libm's suffix in C, ``{one}``
-    and ``{zero}`` are constants in C; Python has ``math`` as m and ``_less``, ``_more`` of ``python_source``."""
+    """How one operation is counted and written: ``{0}``, ``{1}`` are its operands, ``{f}`` is libm's suffix in C,
+    ``{one}`` and ``{zero}`` are constants in C; Python has ``math`` as m and ``_less``, ``_more`` of
+    ``python_source``."""
 
     kind: str
     c: str
@@ -120,7 +121,8 @@ class Program(NamedTuple):
     argument_sizes: tuple[int, ...]
     result_sizes: tuple[int, ...]
 
-    def count(self) -> dict[str, int]:
+    @property
+    def counted(self) -> dict[str, int]:
         """Operations of one call by kind of KINDS, without copies from and to memory."""
         found = Counter(OPERATIONS[i.operation].kind for i in self.instructions if i.operation in OPERATIONS)
         return {kind: found[kind] for kind in KINDS}
@@ -137,7 +139,7 @@ class Program(NamedTuple):
 def program(function: ca.Function) -> Program:
     """``function`` (made of SX) as a program. Raises UnsupportedLawError for an operation that is not in OPERATIONS."""
     if not function.is_a("SXFunction"):
-        raise UnsupportedLawError(f"{function.name()} is a {function.class_name()}: only functions of SX can be exported")
+        raise UnsupportedLawError(f"{function.name()} is a {function.class_name()}: only an SXFunction can be exported")
     return Program(
         tuple(_instruction(function, k) for k in range(function.n_instructions())),
         function.sz_w(),

@@ -4,20 +4,20 @@
  *
  * Use:
  *     static joint_law law;
- *     joint_law_init(&law, @first_table);               // once; everything off
- *     joint_law_use(&law, &joint_law_@first_gains);     // gains, whenever they are to change
- *     law.u[JOINT_LAW_U_TORQUE_MODE] = 1;  ...          // when a command has come
- *     joint_law_step(&law, counts);                     // in the interrupt, at @rate Hz
+ *     joint_law_init(&law, @first_table); // once; everything off
+ *     joint_law_use(&law, &joint_law_@first_gains); // gains, whenever they are to change
+ *     law.u[JOINT_LAW_U_TORQUE_MODE] = 1; // ... when a command has come
+ *     joint_law_step(&law, counts); // in the interrupt, at @rate Hz
  *     demand = (int32_t)law.y[JOINT_LAW_Y_DEMAND];
  *
  * The law is what closes the loop. State machine, watchdog and protection are the firmware's own: it must not pass a
  * demand on to the power stage unless these allow it.
  *
- * joint_law_step() neither loops nor branches on data, so every call is the worst case, in operations on
- * joint_law_real:
+ * In joint_law_step() nothing is repeated or left out depending on data: every call is the worst case, in operations
+ * on joint_law_real:
 @operations
- * Memory: @state_bytes bytes of joint_law (+ a pointer), @parameter_bytes bytes of constants per joint, at most @work_bytes bytes of stack for
- * intermediate results. Nothing is allocated, nothing is static. Of the library: @libm.
+ * Memory: @state_bytes bytes of joint_law (and a pointer), @parameter_bytes bytes of constants per joint, @work_bytes bytes of local variables.
+ * Nothing is allocated, nothing is static. Of the library: @libm (a compiler may put memset into joint_law_init).
  *
  * Compiled without contraction of a * b + c (-ffp-contract=off) the outputs are @exactness.
  */
