@@ -180,8 +180,7 @@ def law_python_us(law: DriveLaw, seconds: float) -> float:
 class ExportedLaw:
     """An export, loaded into this process.
 
-    ``x``, ``u``, ``y`` are its memory (arrays of the export's precision). ``step(counts)`` is one step; ``counts`` is
-    the address of int32.
+    ``x``, ``u``, ``y`` are its memory (arrays of the export's precision).
     """
 
     def __init__(self, library: Path, law: DriveLaw, joint: str, precision: str) -> None:
@@ -194,8 +193,9 @@ class ExportedLaw:
         self.address = ctypes.c_void_p(ctypes.addressof(self.memory))
         self.library.joint_law_init(self.address, table)
 
-    def step(self, counts: ctypes.c_void_p) -> None:
-        self.library.joint_law_step(self.address, counts)
+    def step(self, counts: np.ndarray) -> None:
+        """One step; ``counts`` (int32) as the law's."""
+        self.library.joint_law_step(self.address, ctypes.c_void_p(counts.ctypes.data))
 
 
 @contextmanager

@@ -145,7 +145,8 @@ class _Export:
             "double": "bit for bit those of the emulation",
             "single": "bit for bit the same on\n * every processor with IEEE 754 arithmetic",
         }[self.precision.name]
-        inexact = [name for name in _library(law.program, self.precision) if name.removesuffix(self.precision.suffix) not in _EXACT]
+        alike = {f"{name}{self.precision.suffix}" for name in _EXACT}
+        inexact = [name for name in _library(law.program, self.precision) if name not in alike]
         if inexact:
             exact += f",\n * as far as its {', '.join(inexact)} round alike"
         counted = [f" *     {n:4d} {KINDS[kind]}" for kind, n in law.program.counted.items() if n]
