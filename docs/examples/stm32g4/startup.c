@@ -1,7 +1,7 @@
 /* Start of a program on QEMU's mps2-an386 (Cortex-M4F); its input and output go through semihosting. */
 #include <stdint.h>
 
-extern uint32_t stack_top;
+void stack_top(void); /* no function: the linker's word for the end of the memory */
 void _start(void); /* newlib's, for semihosting */
 
 void start(void);
@@ -20,5 +20,5 @@ static void stuck(void)
 }
 
 __attribute__((section(".vectors"), used)) static void (*const vectors[16])(void) = {
-    (void (*)(void))&stack_top, start, stuck, stuck, stuck, stuck, stuck, 0, 0, 0, 0, stuck, stuck, 0, stuck, stuck,
+    stack_top, start, stuck, stuck, stuck, stuck, stuck, 0, 0, 0, 0, stuck, stuck, 0, stuck, stuck,
 };
