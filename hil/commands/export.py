@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -91,11 +92,27 @@ def _scenario(options: argparse.Namespace) -> Scenario:
         if options.recording is None and not setting.strip().startswith("firmware."):
             raise UserError(f"--set {setting}: without --recording there is firmware.… only")
     name = options.recording or "stand"
+    settings = [f"robot={options.robot}", *options.settings]
+    if options.recording is None:
+        settings += [f"world.rate={rate:.12g} Hz" for rate in _rates(options.settings)]  # there is no physics: it fits
     try:
-        return load(name, [f"robot={options.robot}", *options.settings])
+        return load(name, settings)
     except UserError as error:
         text = str(error)
         raise UserError(text if options.recording else text.removeprefix("stand: ")) from None
+
+
+def _rates(settings: list[str]) -> list[float]:
+    """Interrupt rates among ``settings``, Hz; what is wrong with the others, loading the scenario says."""
+    from robots.quantities import parse_quantity
+
+    rates = []
+    for setting in settings:
+        key, _, value = setting.partition("=")
+        if key.strip() == "firmware.rate":
+            with contextlib.suppress(ValueError):
+                rates.append(parse_quantity(value, "Hz"))
+    return [rate for rate in rates if 1 <= rate <= 1e6]
 
 
 def _check(out: Path, names: list[str]) -> None:
