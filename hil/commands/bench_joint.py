@@ -33,7 +33,6 @@ from robots import description, pins
 
 AIM_US = 5.0
 ROBOT, JOINT = "hume", "left_knee"
-REPEATS = 5
 _TORQUE = 20.0  # N m
 _PATTERN = 512  # different samples of the encoders
 
@@ -71,22 +70,19 @@ def _samples() -> list[tuple[int, int]]:
     ]
 
 
-def _cost_us(run: Callable[[int], None], seconds: float, empty: Callable[[int], None] = lambda n: None) -> float:
-    """µs per round of ``run(rounds)`` less that of ``empty``, each the best of REPEATS stretches of about
-    ``seconds`` / REPEATS: other work on the machine only ever slows it."""
+def _cost_us(run: Callable[[int], None], seconds: float, empty: Callable[[int], None] | None = None) -> float:
+    """µs per round of ``run(rounds)``, less that of ``empty``: of the fastest stretch of _PATTERN rounds in
+    ``seconds``, as other work on the machine only ever slows it."""
 
-    def best(of: Callable[[int], None], rounds: int) -> float:
-        times = []
-        for _ in range(REPEATS):
+    def fastest(of: Callable[[int], None]) -> float:
+        best, ends = math.inf, time.monotonic() + seconds
+        while time.monotonic() < ends or best == math.inf:
             began = time.perf_counter_ns()
-            of(rounds)
-            times.append(time.perf_counter_ns() - began)
-        return min(times) * 1e-3 / rounds
+            of(_PATTERN)
+            best = min(best, time.perf_counter_ns() - began)
+        return best * 1e-3 / _PATTERN
 
-    rounds = _PATTERN
-    once = best(run, rounds)
-    rounds = max(round(seconds / REPEATS / (once * 1e-6) / _PATTERN), 1) * _PATTERN
-    return best(run, rounds) - best(empty, rounds)
+    return fastest(run) - (fastest(empty) if empty is not None else 0.0)
 
 
 def _enabled_drive(config: FirmwareConfig) -> tuple[JointFirmware, Any]:
@@ -254,13 +250,11 @@ def bench_joint(seconds: float, as_json: bool) -> int:
     if as_json:
         print(json.dumps(results))
         return 0
-    print(f"{ROBOT} {JOINT}, enabled, torque mode, encoders changing; µs each, the best of {REPEATS} stretches")
-    print(f"  {'law':8}" + "".join(f"{key:>21}" for key in ROWS))
-    for law, result in results.items():
-        cells = [result[f"{key}_us"] for key in ROWS]
-        print(f"  {law:8}" + "".join(f"{'no compiler' if c is None else f'{c:.2f}':>21}" for c in cells))
+    print(f"{ROBOT} {JOINT}, enabled, torque mode, encoders changing; µs, the fastest {_PATTERN} of {seconds:g} s")
+    print(f"  {'':20}" + "".join(f"{law:>10}" for law in results))
     for key, meaning in ROWS.items():
-        print(f"  {key:20} {meaning}")
+        cells = [result[f"{key}_us"] for result in results.values()]
+        print(f"  {key:20}" + "".join(f"{'–' if c is None else f'{c:.2f}':>10}" for c in cells) + f"   {meaning}")
     worst = max(result["interrupt_us"] for result in results.values())
     print(f"  aim for the interrupt: ≤ {AIM_US:g} µs: {'met' if worst <= AIM_US else 'missed'}")
     return 0
