@@ -1,0 +1,9 @@
+/* Parameters of the drive of @joint.
+ *
+@origin
+ */
+#include "joint_law.h"
+
+const joint_law_real @table[JOINT_LAW_PARAMETERS] = {
+@values
+};
