@@ -153,7 +153,7 @@ class _Export:
         return self._fill(
             "joint_law.h",
             first_table=next(iter(self.tables.values())),
-            first_gains=next(iter(law.gains)),
+            first_gains=f"{next(iter(self.tables.values()))}_{next(iter(law.gains))}",
             operations="\n".join(counted),
             state_bytes=str(size * (len(law.state) + len(law.input) + len(law.outputs))),
             parameter_bytes=str(size * len(law.parameters)),
@@ -162,26 +162,22 @@ class _Export:
             exactness=exact,
             enumerations="\n\n".join(_enumeration(*group) for group in groups),
             gain_fields="\n".join(f"    joint_law_real {q.name}; /* {_described(q)} */" for q in gain_quantities),
-            gain_sets="\n".join(f"extern const joint_law_gains joint_law_{key};" for key in law.gains),
             tables="\n".join(
-                f"extern const joint_law_real {table}[JOINT_LAW_PARAMETERS];" for table in self.tables.values()
+                f"extern const joint_law_real {table}[JOINT_LAW_PARAMETERS];\n"
+                f"extern const joint_law_gains {', '.join(f'{table}_{key}' for key in law.gains)};"
+                for table in self.tables.values()
             ),
         )
 
     # --- joint_law.c -----------------------------------------------------------------------------------------
 
     def _source(self) -> str:
-        law, literal = self.law, self.precision.literal
+        law = self.law
         helpers = [_helper(*words) for operation, words in _HELPERS.items() if law.program.uses(operation)]
-        sets = [
-            f"const joint_law_gains joint_law_{key} = {{{', '.join(literal(value) for value in gains.values())}}};"
-            for key, gains in law.gains.items()
-        ]
         names = list(next(iter(law.gains.values())))
         return self._fill(
             "joint_law.c",
             helpers="".join(helpers),
-            gain_sets="\n".join(sets),
             use_gains="\n".join(f"    law->u[JOINT_LAW_U_{name.upper()}] = gains->{name};" for name in names),
             work=_declarations(law.program.work_size),
             statements="\n".join(self._statement(instruction) for instruction in law.program.instructions),
@@ -209,12 +205,16 @@ class _Export:
     # --- the other files --------------------------------------------------------------------------------------
 
     def _table(self, joint: str, table: str) -> str:
-        law = self.laws[joint]
+        law, literal = self.laws[joint], self.precision.literal
         values = [
-            f"    {self.precision.literal(float(value)) + ',':24} /* {quantity.name}: {_described(quantity)} */"
+            f"    {literal(float(value)) + ',':24} /* {quantity.name}: {_described(quantity)} */"
             for value, quantity in zip(law.values, law.parameters, strict=True)
         ]
-        return self._fill("table.c", joint=joint, table=table, values="\n".join(values))
+        sets = [
+            f"const joint_law_gains {table}_{key} = {{{', '.join(literal(value) for value in gains.values())}}};"
+            for key, gains in law.gains.items()
+        ]
+        return self._fill("table.c", joint=joint, table=table, values="\n".join(values), gain_sets="\n".join(sets))
 
     def _main(self) -> str:
         law = self.law
@@ -228,7 +228,7 @@ class _Export:
 
     def _readme(self) -> str:
         counted = [f"| {KINDS[kind]} | {n} |" for kind, n in self.law.program.counted.items()]
-        rows = [f"| `{table}.c` | parameters of {joint} |" for joint, table in self.tables.items()]
+        rows = [f"| `{table}.c` | parameters and gains of {joint} |" for joint, table in self.tables.items()]
         return self._fill(
             "README.md",
             origin_markdown="\n".join(self.origin),

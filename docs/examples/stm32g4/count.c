@@ -42,7 +42,7 @@ int main(void)
     SYST_CVR = 0;
     SYST_CSR = 5; /* processor's clock, no interrupt */
     joint_law_init(&law, hume_left_knee);
-    joint_law_use(&law, &joint_law_stance);
+    joint_law_use(&law, &hume_left_knee_stance);
     law.u[JOINT_LAW_U_TORQUE_MODE] = 1;
     law.u[JOINT_LAW_U_TORQUE] = 20;
     law.u[JOINT_LAW_U_LIMIT] = 500;

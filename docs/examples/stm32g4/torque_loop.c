@@ -32,7 +32,7 @@ static volatile int permitted; /* by state machine and protection */
 void torque_loop_init(void)
 {
     joint_law_init(&law, hume_left_knee);
-    joint_law_use(&law, &joint_law_stance);
+    joint_law_use(&law, &hume_left_knee_stance);
 }
 
 /* Take over a command, with this interrupt masked: the law must not see half of one. */

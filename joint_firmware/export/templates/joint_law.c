@@ -6,9 +6,7 @@
 
 #include <math.h>
 
-@helpers@gain_sets
-
-void joint_law_init(joint_law *law, const joint_law_real p[JOINT_LAW_PARAMETERS])
+@{helpers}void joint_law_init(joint_law *law, const joint_law_real p[JOINT_LAW_PARAMETERS])
 {
     int i;
     for (i = 0; i < JOINT_LAW_STATES; i++)

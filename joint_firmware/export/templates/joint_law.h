@@ -5,7 +5,7 @@
  * Use:
  *     static joint_law law;
  *     joint_law_init(&law, @first_table); // once; everything off
- *     joint_law_use(&law, &joint_law_@first_gains); // gains, whenever they are to change
+ *     joint_law_use(&law, &@first_gains); // gains, whenever they are to change
  *     law.u[JOINT_LAW_U_TORQUE_MODE] = 1; // ... when a command has come
  *     joint_law_step(&law, counts); // in the interrupt, at @rate Hz
  *     demand = (int32_t)law.y[JOINT_LAW_Y_DEMAND];
@@ -46,8 +46,6 @@ typedef struct {
 @gain_fields
 } joint_law_gains;
 
-@gain_sets
-
 /* As after power-on, with all inputs zero: no current. p must stay where it is. */
 void joint_law_init(joint_law *law, const joint_law_real p[JOINT_LAW_PARAMETERS]);
 
@@ -57,7 +55,7 @@ void joint_law_use(joint_law *law, const joint_law_gains *gains);
 /* One step: from the pins' counts, u and x to y and the next x. */
 void joint_law_step(joint_law *law, const int32_t counts[JOINT_LAW_COUNTS]);
 
-/* Parameters of each joint. */
+/* Parameters of each joint, and its gains. */
 @tables
 
 #endif

@@ -1,4 +1,4 @@
-/* Parameters of the drive of @joint.
+/* Parameters and gains of the drive of @joint.
  *
 @origin
  */
@@ -7,3 +7,5 @@
 const joint_law_real @table[JOINT_LAW_PARAMETERS] = {
 @values
 };
+
+@gain_sets

@@ -86,9 +86,9 @@ def test_the_firmware_s_configuration_goes_into_the_tables(tmp_path: Path) -> No
     changes = ["firmware.torque_limit=120Nm", "firmware.rate=6kHz"]
     assert main(["export", *(word for change in changes for word in ("--set", change)), "--out", str(out)]) == 0
     assert "#define JOINT_LAW_RATE_HZ 6000\n" in (out / "joint_law.h").read_text()
-    assert "joint_law_swing = {4.0, 20.0, 10.0};" in (out / "joint_law.c").read_text()
     table = (out / "hume_left_hip.c").read_text()
     assert "\n    120.0," in table and f"\n    {1 / 6000!r}," in table
+    assert "const joint_law_gains hume_left_hip_swing = {4.0, 20.0, 10.0};" in table
 
 
 # --- mistakes -------------------------------------------------------------------------------------------------
