@@ -22,12 +22,13 @@ from bus import messages
 from bus.frames import Frame
 from bus.messages import Controlword, GainSet, Mode, Setpoint
 from hil.compiled import compile_function, compiler
-from joint_firmware.config import FirmwareConfig
+from joint_firmware.config import LAW_NAMES, FirmwareConfig
 from joint_firmware.drive import DriveState
 from joint_firmware.export.c99 import source_files
-from joint_firmware.export.drive_law import LAWS, DriveLaw, drive_law
+from joint_firmware.export.drive_law import ExportedLaw, exported_law
 from joint_firmware.export.python_source import python_function
 from joint_firmware.firmware import JointFirmware
+from joint_firmware.laws import drive_law
 from joint_firmware.memory import LawMemory
 from robots import description, pins
 
@@ -55,6 +56,10 @@ void bench_steps(joint_law *law, const int32_t *counts, int patterns, int steps)
         joint_law_step(law, counts + (k % patterns) * JOINT_LAW_COUNTS);
 }
 """
+
+
+def _config(law: str) -> FirmwareConfig:
+    return FirmwareConfig.model_validate({"law": law})
 
 
 def _samples() -> list[tuple[int, int]]:
@@ -104,9 +109,8 @@ def _enabled_drive(config: FirmwareConfig) -> tuple[JointFirmware, Any]:
 
 def interrupt_us(law: str, seconds: float, report_rate: float) -> float:
     """One interrupt of a drive with ``law`` that reports at ``report_rate`` [Hz], µs."""
-    rate = FirmwareConfig().rate
     config = FirmwareConfig.model_validate(
-        {"report_rate": f"{report_rate:g} Hz", "watchdog": "1e6 s", "heartbeat_period": "0 s", "rate": f"{rate:g} Hz"}
+        {"law": law, "report_rate": f"{report_rate:g} Hz", "watchdog": "1e6 s", "heartbeat_period": "0 s"}
     )
     drive, inputs = _enabled_drive(config)
     samples, motor, spring = _samples(), pins.MOTOR_ENCODER, pins.SPRING_ENCODER
@@ -127,13 +131,13 @@ def interrupt_us(law: str, seconds: float, report_rate: float) -> float:
     return cost
 
 
-def _input_of(law: DriveLaw) -> list[float]:
+def _input_of(law: ExportedLaw) -> list[float]:
     """u of a drive that follows a torque."""
     values = {"torque": _TORQUE, "limit": 500.0, "torque_mode": 1.0, **law.gains["stance"]}
     return [values.get(quantity.name, 0.0) for quantity in law.input]
 
 
-def _counts(law: DriveLaw) -> np.ndarray:
+def _counts(law: ExportedLaw) -> np.ndarray:
     """Samples as rows of the law's counts, int32."""
     names = [quantity.name for quantity in law.counts]
     rows = np.zeros((_PATTERN, len(names)), np.int32)
@@ -141,23 +145,24 @@ def _counts(law: DriveLaw) -> np.ndarray:
     return rows
 
 
-def law_emulated_us(law: DriveLaw, seconds: float) -> float:
-    memory = LawMemory(compile_function(law.function))
+def law_emulated_us(law: ExportedLaw, seconds: float) -> float:
+    memory = LawMemory(drive_law(description.load(ROBOT).joint(JOINT), _config(law.name)), compile_function)
     memory.p_array[:], memory.u_array[:] = law.values, _input_of(law)
     rows, counts, evaluate = _counts(law).tolist(), memory.counts, memory.evaluate
     x, x_next = memory.x_array, memory.x_next_array
+    motor, spring = pins.MOTOR_ENCODER, pins.SPRING_ENCODER
 
     def run(rounds: int) -> None:
         for _ in range(rounds // _PATTERN):
             for row in rows:
-                counts[0], counts[1] = row[0], row[1]
+                counts[motor], counts[spring] = row[motor], row[spring]
                 evaluate()
                 x[:] = x_next
 
     return _cost_us(run, seconds)
 
 
-def law_python_us(law: DriveLaw, seconds: float) -> float:
+def law_python_us(law: ExportedLaw, seconds: float) -> float:
     step = python_function(law.program, ("counts", "x", "u", "p"), ("x_next", "y"))
     u, p = _input_of(law), law.values.tolist()
     rows = _counts(law).astype(float).tolist()
@@ -173,13 +178,13 @@ def law_python_us(law: DriveLaw, seconds: float) -> float:
     return _cost_us(run, seconds)
 
 
-class ExportedLaw:
+class LoadedLaw:
     """An export, loaded into this process.
 
     ``x``, ``u``, ``y`` are its memory (arrays of the export's precision).
     """
 
-    def __init__(self, library: Path, law: DriveLaw, joint: str, precision: str) -> None:
+    def __init__(self, library: Path, law: ExportedLaw, joint: str, precision: str) -> None:
         real: Any = ctypes.c_double if precision == "double" else ctypes.c_float
         fields = [("x", real * len(law.state)), ("u", real * len(law.input)), ("y", real * len(law.outputs))]
         kind = type("joint_law", (ctypes.Structure,), {"_fields_": [*fields, ("p", ctypes.c_void_p)]})
@@ -195,7 +200,7 @@ class ExportedLaw:
 
 
 @contextmanager
-def exported(law: DriveLaw, precision: str = "double") -> Iterator[ExportedLaw]:
+def exported(law: ExportedLaw, precision: str = "double") -> Iterator[LoadedLaw]:
     """``law`` of ROBOT's JOINT, exported, compiled and loaded. Raises OSError or subprocess.SubprocessError."""
     robot = description.load(ROBOT)
     command = (compiler() or "cc").partition(": ")[0]
@@ -206,10 +211,10 @@ def exported(law: DriveLaw, precision: str = "double") -> Iterator[ExportedLaw]:
         sources = [name for name in files if name.endswith(".c") and name != "main.c"]
         build = [command, "-std=c99", "-O2", "-ffp-contract=off", "-fPIC", "-shared", "-o", "law.so", *sources, "-lm"]
         subprocess.run(build, cwd=directory, check=True, capture_output=True)
-        yield ExportedLaw(Path(directory, "law.so"), law, f"{ROBOT}_{JOINT}", precision)
+        yield LoadedLaw(Path(directory, "law.so"), law, f"{ROBOT}_{JOINT}", precision)
 
 
-def law_c_us(law: DriveLaw, seconds: float) -> tuple[float, float]:
+def law_c_us(law: ExportedLaw, seconds: float) -> tuple[float, float]:
     """Called by ctypes, and from C."""
     with exported(law) as drive:
         drive.u[:] = _input_of(law)
@@ -230,7 +235,7 @@ def law_c_us(law: DriveLaw, seconds: float) -> tuple[float, float]:
 
 def measure(law: str, seconds: float) -> dict[str, Any]:
     """All rows of ROWS in µs; None for what needs a compiler, without one."""
-    one = drive_law(law, description.load(ROBOT).joint(JOINT), FirmwareConfig())
+    one = exported_law(description.load(ROBOT).joint(JOINT), _config(law))
     result: dict[str, Any] = {
         "interrupt": interrupt_us(law, seconds, report_rate=1.0),
         "interrupt_reporting": interrupt_us(law, seconds, report_rate=1500.0),
@@ -246,7 +251,7 @@ def measure(law: str, seconds: float) -> dict[str, Any]:
 
 def bench_joint(seconds: float, as_json: bool) -> int:
     """Run all measurements, each for about ``seconds``, and print them. Returns the exit status."""
-    results = {law: measure(law, seconds) for law in LAWS}
+    results = {law: measure(law, seconds) for law in LAW_NAMES}
     if as_json:
         print(json.dumps(results))
         return 0

@@ -25,7 +25,7 @@ def add_parser(commands: Any) -> None:
     )  # fmt: skip
     parser.add_argument("--robot", default="hume", metavar="NAME", help="whose drives (hume)")
     parser.add_argument("--joint", metavar="NAME", help="the table of this joint's parameters only (all joints)")
-    parser.add_argument("--law", default="PD_m", metavar="NAME", help="control law (PD_m)")
+    parser.add_argument("--law", metavar="NAME", help="torque loop, as --set firmware.law (PID_m)")
     parser.add_argument("--precision", default="double", metavar="WHICH", help="arithmetic: double (default) or single")
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="a new directory, or one of an export")
     parser.add_argument(
@@ -42,15 +42,12 @@ def add_parser(commands: Any) -> None:
 def find_law(name: str) -> str:
     """The law that a person calls ``name``: case, "_" and spaces make no difference. Raises UserError for none."""
     from hil.schema import nearest
-    from joint_firmware.export.drive_law import LAWS
+    from joint_firmware.config import LAW_NAMES, canonical_law
 
-    def plain(text: str) -> str:
-        return "".join(text.split()).replace("_", "").lower()
-
-    for law in LAWS:
-        if plain(law) == plain(name):
-            return law
-    raise UserError(f"--law {name}: there is none{nearest(name, LAWS)}")
+    law = canonical_law(name)
+    if law not in LAW_NAMES:
+        raise UserError(f"--law {name}: there is none{nearest(name, LAW_NAMES)}")
+    return law
 
 
 def _export(options: argparse.Namespace) -> int:
@@ -58,7 +55,8 @@ def _export(options: argparse.Namespace) -> int:
     from joint_firmware.export.c99 import PRECISIONS, export
     from robots import description
 
-    law = find_law(options.law)
+    if options.law is not None:
+        options.settings.append(f"firmware.law={find_law(options.law)}")
     if options.precision not in PRECISIONS:
         raise UserError(f"--precision {options.precision}: expected {' or '.join(PRECISIONS)}")
     scenario = _scenario(options)
@@ -67,13 +65,13 @@ def _export(options: argparse.Namespace) -> int:
         raise UserError(f"--joint {options.joint}: {robot.name} has none{nearest(options.joint, robot.joint_names)}")
     joints = robot.joint_names if options.joint is None else (options.joint,)
     try:
-        files = export(robot, joints, law, options.precision, scenario.firmware)
+        files = export(robot, joints, options.precision, scenario.firmware)
     except ValueError as error:
         raise UserError(f"--robot {robot.name}: {error}") from None
     names = [*files, *(_recording_names(joints) if options.recording else ())]
     _check(options.out, names)
     if options.recording is not None:
-        files |= _recordings(options, joints, law)
+        files |= _recordings(options, joints)
     try:
         options.out.mkdir(parents=True, exist_ok=True)
         for name, text in files.items():
@@ -133,17 +131,17 @@ def _recording_names(joints: tuple[str, ...]) -> list[str]:
     return [f"{what}_{joint}.csv" for joint in joints for what in ("recorded", "computed")]
 
 
-def _recordings(options: argparse.Namespace, joints: tuple[str, ...], law: str) -> dict[str, str]:
+def _recordings(options: argparse.Namespace, joints: tuple[str, ...]) -> dict[str, str]:
     """What the export's example reads, and what it prints in double precision."""
     from hil.record.law_recording import record_laws
     from joint_firmware.export.c99 import columns_in
-    from joint_firmware.export.drive_law import drive_law
+    from joint_firmware.export.drive_law import exported_law
     from robots import description
 
     scenario = _scenario(options)
     recorded = record_laws(scenario, _RECORDED_S)
     joint = description.load(scenario.robot).joint(joints[0])
-    named = drive_law(law, joint, scenario.firmware)
+    named = exported_law(joint, scenario.firmware)
     files = {}
     for name in joints:
         drive = recorded[name]

@@ -16,7 +16,8 @@ import casadi as ca
 import numpy as np
 
 from joint_firmware.config import FirmwareConfig
-from joint_firmware.export.drive_law import DriveLaw, Quantity, drive_law
+from joint_firmware.export.drive_law import ExportedLaw, exported_law
+from joint_firmware.export.glossary import Quantity
 from joint_firmware.export.operations import KINDS, LIBM, OPERATIONS, ROUNDING, SIGN, Instruction, Program
 from robots.description import Robot
 
@@ -67,21 +68,20 @@ class _Template(string.Template):
     delimiter = "@"
 
 
-def export(robot: Robot, joints: Sequence[str], law: str, precision: str, config: FirmwareConfig) -> dict[str, str]:
+def export(robot: Robot, joints: Sequence[str], precision: str, config: FirmwareConfig) -> dict[str, str]:
     """The files of the export: name → text. Equal arguments give equal texts.
 
     Args:
         joints: names of those of ``robot`` that get a table of parameters.
-        law: a name of ``drive_law.LAWS``.
         precision: a name of PRECISIONS.
 
-    Raises ValueError when the joints' laws differ in more than their parameters.
+    Raises ValueError when the joints' laws differ in more than their parameters, and as ``laws.drive_law`` does.
     """
-    laws = {name: drive_law(law, robot.joint(name), config) for name in joints}
+    laws = {name: exported_law(robot.joint(name), config) for name in joints}
     return source_files(robot, laws, precision, config.rate)
 
 
-def source_files(robot: Robot, laws: dict[str, DriveLaw], precision: str, rate: float) -> dict[str, str]:
+def source_files(robot: Robot, laws: dict[str, ExportedLaw], precision: str, rate: float) -> dict[str, str]:
     """As ``export``, of ``laws`` by joint, stepped at ``rate`` [Hz]."""
     (first, law), *others = laws.items()
     for name, other in others:
@@ -92,7 +92,7 @@ def source_files(robot: Robot, laws: dict[str, DriveLaw], precision: str, rate: 
 
 class _Export:
     def __init__(
-        self, robot: Robot, law: DriveLaw, laws: dict[str, DriveLaw], precision: Precision, rate: float
+        self, robot: Robot, law: ExportedLaw, laws: dict[str, ExportedLaw], precision: Precision, rate: float
     ) -> None:
         self.law, self.laws, self.precision = law, laws, precision
         self.tables = {joint: f"{robot.name}_{joint}" for joint in laws}
@@ -238,12 +238,12 @@ class _Export:
         )
 
 
-def columns_in(law: DriveLaw) -> list[str]:
+def columns_in(law: ExportedLaw) -> list[str]:
     """What the example reads, per step."""
     return [q.name for q in law.counts] + [f"u.{q.name}" for q in law.input]
 
 
-def columns_out(law: DriveLaw) -> list[str]:
+def columns_out(law: ExportedLaw) -> list[str]:
     """What the example prints, per step."""
     return [f"y.{q.name}" for q in law.outputs] + [f"x.{q.name}" for q in law.state]
 

@@ -31,8 +31,13 @@ class Bounded(NamedTuple):
 
 
 def rounded(value: np.ndarray, error: np.ndarray | float = 0.0) -> Bounded:
-    """A result of ``value``, exact but for ``error``, when it is rounded to single precision."""
-    return Bounded(value, (error + UNIT * (np.abs(value) + error) + _SMALLEST) * _SLACK)
+    """A result of ``value``, exact but for ``error``, when it is rounded to single precision.
+
+    Without error both precisions compute from the same numbers, and single precision gives what double's result rounds
+    to (Figueroa 1995: 53 bits are enough for that): whole numbers, as modes are, stay exact.
+    """
+    bound = (error + UNIT * (np.abs(value) + error) + _SMALLEST) * _SLACK
+    return Bounded(value, np.where(error == 0, stored(value).error, bound))
 
 
 def stored(value: np.ndarray) -> Bounded:
@@ -47,6 +52,12 @@ def _within(value: np.ndarray, low: np.ndarray, high: np.ndarray) -> Bounded:
 
 def _operation(operation: int, a: Bounded, b: Bounded) -> Bounded:
     error = a.error + b.error
+    if operation == ca.OP_TWICE:
+        return Bounded(2 * a.value, 2 * a.error)  # exact
+    if operation == ca.OP_SQ:
+        operation, b = ca.OP_MUL, a
+    if operation == ca.OP_INV:
+        operation, a, b = ca.OP_DIV, Bounded(np.ones(1), np.zeros(1)), a
     if operation == ca.OP_ADD:
         return rounded(a.value + b.value, error)
     if operation == ca.OP_SUB:
@@ -75,8 +86,10 @@ def _operation(operation: int, a: Bounded, b: Bounded) -> Bounded:
     unsure = (np.abs(a.value - b.value) <= error) & (error > 0)
     if operation == ca.OP_LT:
         return Bounded((a.value < b.value) * 1.0, unsure * 1.0)
-    if operation == ca.OP_NE:
-        return Bounded((a.value != b.value) * 1.0, unsure * 1.0)
+    if operation == ca.OP_LE:
+        return Bounded((a.value <= b.value) * 1.0, unsure * 1.0)
+    if operation in (ca.OP_NE, ca.OP_EQ):
+        return Bounded(((a.value == b.value) == (operation == ca.OP_EQ)) * 1.0, unsure * 1.0)
     unsure = error > 0
     if operation == ca.OP_NOT:
         return Bounded((a.value == 0) * 1.0, (a.error > 0) * 1.0)

@@ -7,17 +7,16 @@ import pytest
 from hil.cli import main
 from hil.commands.bench_joint import ROWS, _enabled_drive, _samples
 from hil.compiled import compiler
-from joint_firmware import law
-from joint_firmware.config import FirmwareConfig
+from joint_firmware.config import LAW_NAMES, FirmwareConfig
 from joint_firmware.drive import DriveState
-from joint_firmware.export.drive_law import LAWS
+from joint_firmware.laws import signals as law
 from robots import pins
 
 
 def test_every_law_is_measured_in_every_way(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["bench", "joint", "--duration", "0.1s", "--json"]) == 0
     results = json.loads(capsys.readouterr().out)
-    assert list(results) == list(LAWS)
+    assert list(results) == list(LAW_NAMES)
     for result in results.values():
         assert set(result) == {*(f"{row}_us" for row in ROWS), "operations"}
         for row in ROWS:
@@ -28,7 +27,7 @@ def test_every_law_is_measured_in_every_way(capsys: pytest.CaptureFixture[str]) 
 def test_it_says_which_aim_it_has(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["bench", "joint", "--duration", "0.1s"]) == 0
     output = capsys.readouterr().out
-    assert "aim for the interrupt: ≤ 5 µs: " in output and all(row in output for row in [*ROWS, *LAWS])
+    assert "aim for the interrupt: ≤ 5 µs: " in output and all(row in output for row in [*ROWS, *LAW_NAMES])
 
 
 def test_the_drive_that_is_measured_closes_its_loop_on_changing_pins() -> None:

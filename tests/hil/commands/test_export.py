@@ -6,8 +6,11 @@ from pathlib import Path
 import pytest
 
 from hil.cli import main
+from joint_firmware.laws import signals
+from robots import pins
 from tests.support.exports import need
 
+NUMBERS = pins.N_INPUTS + signals.INPUT_SIZE  # that the example reads per step
 ALWAYS = {"joint_law.h", "joint_law.c", "main.c", "Makefile", "README.md"}
 
 
@@ -30,14 +33,14 @@ def test_one_joint_or_all(tmp_path: Path, capsys: pytest.CaptureFixture[str]) ->
     assert sorted(capsys.readouterr().out.split()) == sorted(str(tmp_path / "one" / name) for name in one)
     assert main(["export", "--out", str(tmp_path / "all")]) == 0
     every = texts(tmp_path / "all")
-    assert len(every) == len(ALWAYS) + 6 and "law PD_m, double precision" in every["joint_law.c"]
+    assert len(every) == len(ALWAYS) + 6 and "law PID_m, double precision" in every["joint_law.c"]
     assert every["joint_law.c"].replace("all joints", "left_knee") == one["joint_law.c"]
 
 
-@pytest.mark.parametrize("name", ["PD_m", "pdm", "PD m", "Pd_M"])
+@pytest.mark.parametrize("name", ["PD_m+DOB", "pdm+dob", "PDm + DOB", "Pd_M+doB"])
 def test_a_law_has_its_name_in_any_spelling(tmp_path: Path, name: str) -> None:
     assert main(["export", "--law", name, "--out", str(tmp_path / "out")]) == 0
-    assert '#define JOINT_LAW_NAME "PD_m"' in (tmp_path / "out" / "joint_law.h").read_text()
+    assert '#define JOINT_LAW_NAME "PD_m+DOB"' in (tmp_path / "out" / "joint_law.h").read_text()
 
 
 def test_again_it_writes_the_same_beside_what_its_makefile_built(tmp_path: Path) -> None:
@@ -68,12 +71,12 @@ def test_the_example_says_what_it_cannot_read(tmp_path: Path) -> None:
     out = tmp_path / "firmware"
     assert main(["export", "--joint", "right_hip", "--out", str(out)]) == 0
     subprocess.run(["make"], cwd=out, check=True, capture_output=True)
-    good = ",".join(["1"] * 13)
+    good = ",".join(["1"] * NUMBERS)
     for text, complaint in (
-        (good + "\n1,2\n", "line 2: expected 13 numbers"),
-        (good + ",7\n", "line 1: expected 13 numbers"),
-        (good.replace("1,1", "1,x", 1) + "\n", "line 1: expected 13 numbers"),
-        ("\n", "line 1: expected 13 numbers"),
+        (good + "\n1,2\n", f"line 2: expected {NUMBERS} numbers"),
+        (good + ",7\n", f"line 1: expected {NUMBERS} numbers"),
+        (good.replace("1,1", "1,x", 1) + "\n", f"line 1: expected {NUMBERS} numbers"),
+        ("\n", f"line 1: expected {NUMBERS} numbers"),
     ):
         result = subprocess.run([out / "example"], input=text, capture_output=True, text=True)
         assert (result.returncode, result.stderr) == (2, complaint + "\n")

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from hil.record.law_recording import LawRecording
-from joint_firmware import law
 from joint_firmware.config import FirmwareConfig
 from joint_firmware.export.c99 import export
-from joint_firmware.export.drive_law import drive_law
+from joint_firmware.export.drive_law import exported_law
+from joint_firmware.laws import signals as law
 from robots import description, pins
 from tests.support.exports import ARM, QEMU, STRICT, build, need, numbers, rows, run, same_bits, write
 
@@ -22,7 +22,7 @@ PACKAGES = "gcc-arm-none-eabi libnewlib-arm-none-eabi"
 
 @pytest.fixture(scope="session")
 def firmware(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    files = export(HUME, ["left_knee"], "PD_m", "single", FirmwareConfig())
+    files = export(HUME, ["left_knee"], "single", FirmwareConfig())
     return write(files, tmp_path_factory.mktemp("cortex"))
 
 
@@ -61,7 +61,7 @@ def test_a_step_takes_a_small_part_of_the_interrupt_s_period(firmware: Path) -> 
     several registers, one cycle each."""
     elf = program(firmware, "count.elf", EXAMPLE / "count.c")
     instructions = float(run([*QEMU, "-icount", "shift=10", "-kernel", elf], ""))
-    operations = sum(drive_law("PD_m", HUME.joint("left_knee"), FirmwareConfig()).program.counted.values())
+    operations = sum(exported_law(HUME.joint("left_knee"), FirmwareConfig()).program.counted.values())
     assert operations < instructions < 5 * operations
     assert 14 * instructions < 170e6 / 3000 / 4
 
@@ -97,12 +97,14 @@ int main(void)
     off, on = (line.split() for line in run([firmware / "host"], "").splitlines())
     (firmware / "host.c").unlink()
     assert off == ["2048", str(1 << 16), "14"]
-    x, one = np.zeros(law.STATE_SIZE), drive_law("PD_m", HUME.joint("left_knee"), FirmwareConfig())
+    one = exported_law(HUME.joint("left_knee"), FirmwareConfig())
+    x, counts = np.zeros(len(one.state)), np.zeros(pins.N_INPUTS)
+    counts[[pins.MOTOR_ENCODER, pins.SPRING_ENCODER, pins.CURRENT_ADC]] = -66828, 100, 14
     u = np.zeros(law.INPUT_SIZE)
     u[[law.U_KP, law.U_KI, law.U_KD]] = 3.0, 0.0, 10.0
     for torque_mode in [0.0] * 30 + [1.0] * 30:
         u[[law.U_TORQUE, law.U_LIMIT, law.U_TORQUE_MODE]] = 20.0, 500.0, torque_mode
-        x, y = (np.array(part).ravel() for part in one.function([-66828, 100, 14], x, u, one.values))
+        x, y = (np.array(part).ravel() for part in one.function(counts, x, u, one.values))
     demand = y[law.Y_DEMAND]
     assert demand * pins.AMPERE_PER_COUNT == pytest.approx((20 + 3 * (20 - 6.74)) / 6.1, abs=0.01)
     assert on == [str(2048 + int(demand) // 2), "1", "14"]

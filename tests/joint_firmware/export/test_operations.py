@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 from hil.commands.bench_joint import exported
 from hil.record.law_recording import LawRecording
 from joint_firmware.config import FirmwareConfig
-from joint_firmware.export.drive_law import DriveLaw, Quantity, drive_law
+from joint_firmware.export.drive_law import ExportedLaw, exported_law
+from joint_firmware.export.glossary import Quantity
 from joint_firmware.export.operations import KINDS, OPERATIONS, UnsupportedLawError, program
 from joint_firmware.export.python_source import python_function
 from robots import description
@@ -60,16 +61,14 @@ def test_python_computes_each_operation_as_casadi_does(one: float, other: float)
 
 def test_c_computes_each_operation_as_casadi_does() -> None:
     need("cc", "gcc libc6-dev")
-    joint = HUME.joint("left_knee")
     count, state = ca.SX.sym("counts"), ca.SX.sym("x")
     outputs = ca.substitute(ca.vertcat(*EACH.values()), ca.vertcat(a, b), ca.vertcat(0.25 * count, state))
     function = ca.Function("each", [count, state, ca.SX.sym("u"), ca.SX.sym("p")], [0.25 * count - 1, outputs])
-    law = DriveLaw(
+    law = ExportedLaw(
         "each", function, program(function), (Quantity("a", "", ""),), (Quantity("b", "", ""),),
         (Quantity("kp", "", ""),), (Quantity("none", "", ""),), tuple(Quantity(f"y_{n}", "", "") for n in EACH),
         np.zeros(1), {"only": {"kp": 0.0}},
     )  # fmt: skip
-    assert drive_law("PD_m", joint, FirmwareConfig()).program != law.program
     rng = np.random.default_rng(5)
     with exported(law) as drive:
         for counts in [*range(-9, 10), *rng.integers(-(2**31), 2**31, 200).tolist()]:
@@ -105,7 +104,7 @@ def test_what_cannot_be_exported_is_refused(function: ca.Function) -> None:
 def test_plain_python_gives_the_numbers_of_the_emulation(recorded: dict[str, LawRecording]) -> None:
     for joint, drive in recorded.items():
         law = python_function(
-            drive_law("PD_m", HUME.joint(joint), FirmwareConfig()).program, ("counts", "x", "u", "p"), ("x_next", "y")
+            exported_law(HUME.joint(joint), FirmwareConfig()).program, ("counts", "x", "u", "p"), ("x_next", "y")
         )
         x, x_next, y, p = drive.x[0].tolist(), [0.0] * drive.x.shape[1], [0.0] * drive.y.shape[1], drive.p.tolist()
         computed = []

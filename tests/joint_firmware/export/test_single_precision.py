@@ -9,18 +9,20 @@ from hypothesis import strategies as st
 
 from hil.commands.bench_joint import exported
 from hil.record.law_recording import LawRecording
-from joint_firmware import law
 from joint_firmware.config import FirmwareConfig
 from joint_firmware.export.c99 import PRECISIONS, export
-from joint_firmware.export.drive_law import DriveLaw, drive_law
-from robots import description
+from joint_firmware.export.drive_law import ExportedLaw, exported_law
+from joint_firmware.laws import signals as law
+from robots import description, pins
 from tests.support.exports import build, need, need_m32, numbers, rows, run, same_bits, write
 from tests.support.rounding import Bounded, bounds, stored
 
 HUME = description.load("hume")
 CONFIG = FirmwareConfig()
-LAW = drive_law("PD_m", HUME.joint("left_knee"), CONFIG)
-VELOCITIES = [law.MOTOR_VELOCITY, law.VELOCITY]
+LAW = exported_law(HUME.joint("left_knee"), CONFIG)
+PARAMETERS = [q.name for q in LAW.parameters]
+STATES = [q.name for q in LAW.state]
+VELOCITIES = [STATES.index("motor_velocity"), STATES.index("deflection_velocity")]
 
 
 @pytest.fixture(scope="session")
@@ -54,26 +56,26 @@ def test_one_step_keeps_to_its_bound(knee: LawRecording) -> None:
     worst = y.error.max(axis=0)
     assert worst[[law.Y_POSITION, law.Y_TORQUE, law.Y_MOTOR_VELOCITY, law.Y_DEMAND]].max() < 1.001
     assert worst[law.Y_POSITION_SI] < 3e-7 and worst[law.Y_TORQUE_SI] < 1e-5
-    of_a_count = np.abs(LAW.values[0]) * CONFIG.rate  # rad/s: a count more within a step, before the filter
-    assert x_next.error[:, VELOCITIES].max() < 4e-4 < 0.01 * of_a_count
+    a_count = np.abs(LAW.values[PARAMETERS.index("rad_per_count")])
+    assert x_next.error[:, VELOCITIES].max() < 4e-4 < 0.01 * a_count * CONFIG.rate  # what a count within a step makes
 
 
 def free_running_state(knee: LawRecording) -> Bounded:
     """Bound of the state of a law in single precision that keeps its own, at any step.
 
     What of the state is computed from the pins of the same step alone does not add up. The velocities' filter keeps
-    1 − blend of its error at every step, so that what a step adds is multiplied by 1 / blend at most. The torque that
-    is followed moves towards the commanded one, which shrinks its error once it is there. Nothing is integrated here.
+    1 − blend of its error at every step, so that what a step adds is multiplied by 1 / blend at most. Of the rest of
+    the state no bound is needed: no sensed output depends on it.
     """
-    assert not knee.u[:, law.U_KI].any() and not knee.x[:, law.INTEGRAL].any()
+    assert not knee.u[:, law.U_KI].any() and not knee.x[:, STATES.index("integral")].any()
     one, _ = bounded(knee, stored(knee.x))
     error = np.broadcast_to(one.error.max(axis=0), knee.x.shape).copy()
-    error[:, VELOCITIES] /= LAW.values[[q.name for q in LAW.parameters].index("velocity_blend")]
+    error[:, VELOCITIES] /= LAW.values[PARAMETERS.index("velocity_blend")]
     return Bounded(knee.x, error)
 
 
 def test_a_second_on_its_own_state_keeps_to_the_bound(knee: LawRecording, tmp_path: Path) -> None:
-    files = export(HUME, ["left_knee"], "PD_m", "single", CONFIG)
+    files = export(HUME, ["left_knee"], "single", CONFIG)
     example = build(write(files, tmp_path / "single"), "-O2")
     computed = numbers(run([example], rows(knee)), "single")
     outputs, states = np.hsplit(computed, [law.OUTPUT_SIZE])
@@ -90,7 +92,7 @@ def test_it_is_the_same_on_a_processor_that_keeps_more_bits(knee: LawRecording, 
     """x87 computes with 64 bits and rounds when a result is stored. With one operation per statement the second
     rounding does no harm: 64 ≥ 2 · 24 + 2 (Figueroa 1995, When is double rounding innocuous?)."""
     need_m32(tmp_path)
-    files = export(HUME, ["left_knee"], "PD_m", "single", CONFIG)
+    files = export(HUME, ["left_knee"], "single", CONFIG)
     directory = write(files, tmp_path / "single")
     outputs = [
         numbers(run([build(directory, *flags, name=f"built{n}")], rows(knee)), "single")
@@ -102,23 +104,25 @@ def test_it_is_the_same_on_a_processor_that_keeps_more_bits(knee: LawRecording, 
 # --- far from what a run has ------------------------------------------------------------------------------------
 
 
-def step(one: DriveLaw, counts: list[int], **inputs: float) -> tuple[np.ndarray, np.ndarray]:
+def step(one: ExportedLaw, counts: dict[int, int], **inputs: float) -> tuple[np.ndarray, np.ndarray]:
     """y in single and in double precision, of a law just started."""
     u = np.array([inputs.get(q.name, 0.0) for q in one.input])
+    values = np.zeros(pins.N_INPUTS, np.int32)
+    values[list(counts)] = list(counts.values())
     with exported(one, "single") as drive:
         drive.u[:] = u
-        drive.step(np.array(counts, np.int32))
+        drive.step(values)
         single = np.array(drive.y)
-    return single, np.array(one.function(counts, np.zeros(len(one.state)), u, one.values)[1]).ravel()
+    return single, np.array(one.function(values, np.zeros(len(one.state)), u, one.values)[1]).ravel()
 
 
 def test_encoders_count_exactly_up_to_two_to_the_24(tmp_path: Path) -> None:
     """Beyond, a count is lost now and then: Hume's finest encoder gets there after 119 rad."""
     need("cc", "gcc libc6-dev")
     plain = LAW._replace(values=LAW.values.copy())
-    plain.values[0] = 1.0  # rad per count
+    plain.values[PARAMETERS.index("rad_per_count")] = 1.0
     for count, expected in ((2**24, 2**24), (2**24 + 1, 2**24), (-(2**24) - 1, -(2**24)), (2**24 + 2, 2**24 + 2)):
-        single, double = step(plain, [count, 0, 0])
+        single, double = step(plain, {pins.MOTOR_ENCODER: count})
         assert (single[law.Y_POSITION_SI], double[law.Y_POSITION_SI]) == (expected, count)
     finest = max(abs(joint.sensor.encoder) for joint in HUME.joints)
     assert 2**24 / finest == pytest.approx(119.8, abs=0.1)
@@ -128,7 +132,7 @@ def test_what_is_bounded_to_an_integer_s_range_stays_in_it() -> None:
     """2^31 − 1 is no single: rounded to the nearest it would be 2^31, which an int32_t cannot hold."""
     need("cc", "gcc libc6-dev")
     for count in (2**31 - 1, -(2**31)):
-        single, double = step(LAW, [count, count, count])
+        single, double = step(LAW, dict.fromkeys((pins.MOTOR_ENCODER, pins.SPRING_ENCODER, pins.CURRENT_ADC), count))
         assert abs(double[law.Y_POSITION]) == 2**31 - 1 and abs(single[law.Y_POSITION]) == 2**31 - 2**7
         assert np.array_equal(np.sign(single), np.sign(double))
         assert abs(single[law.Y_CURRENT]) == abs(double[law.Y_CURRENT]) == 2**15 - 1
