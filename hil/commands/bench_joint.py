@@ -35,7 +35,7 @@ from robots import description, pins
 AIM_US = 5.0
 ROBOT, JOINT = "hume", "left_knee"
 _TORQUE = 20.0  # N m
-_PATTERN = 512  # different samples of the encoders
+_PATTERN = 64  # different samples of the encoders: a stretch so short that the processor is not taken away in every one
 
 ROWS = {
     "interrupt": "the emulated drive's whole interrupt, without bus traffic",
@@ -63,13 +63,13 @@ def _config(law: str) -> FirmwareConfig:
 
 
 def _samples() -> list[tuple[int, int]]:
-    """Counts of motor and spring encoder while the joint swings by 0.1 rad under a torque of 20 ± 5 N m."""
+    """Counts of motor and spring encoder while the joint swings by 0.01 rad under a torque of 20 ± 1 N m."""
     joint = description.load(ROBOT).joint(JOINT)
     angles = [2.0 * math.pi * k / _PATTERN for k in range(_PATTERN)]
     return [
         (
-            round((1.0 + 0.1 * math.sin(angle)) * joint.sensor.encoder),
-            round((_TORQUE + 5.0 * math.sin(3.0 * angle)) / joint.sensor.torque_resolution),
+            round((1.0 + 0.01 * math.sin(angle)) * joint.sensor.encoder),
+            round((_TORQUE + math.sin(3.0 * angle)) / joint.sensor.torque_resolution),
         )
         for angle in angles
     ]
