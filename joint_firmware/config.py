@@ -79,7 +79,7 @@ class FirmwareConfig(Config):
     stance: TorqueGains = TorqueGains(kp=3.0, ki=0.0, kd="10 N m s/rad")  # type: ignore[arg-type]
     swing: TorqueGains = TorqueGains(kp=4.0, ki=20.0, kd="10 N m s/rad")  # type: ignore[arg-type]
     joints: dict[str, JointGains] = Field(default_factory=dict)
-    torque_rate_cutoff: Hertz = 100.0  # PD_f, valve: of the sensed torque's derivative; that of Valkyrie's torque loops
+    torque_rate_cutoff: Hertz = 60.0  # PD_f, valve: of the sensed torque's derivative; not printed in Kim 2018
     observer_cutoff: Hertz = 15.0  # PD_m+DOB: Kim 2018 §5.3.2
     velocity_integral: Gain = 20.0  # cascade, 1/s: integral over proportional gain of the inner velocity loop
     velocity_compensation: Probability = 0.0  # valve: share of the piston's flow that is fed forward

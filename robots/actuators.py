@@ -107,7 +107,7 @@ class Actuator(Config):
 
 
 class SeriesElastic(Actuator):
-    """A rotary series elastic actuator, seen from the joint except gear_ratio, torque_constant, current_limit, motor."""
+    """A rotary series elastic actuator, seen from the joint; gear_ratio, torque_constant and motor are the motor's."""
 
     kind: Literal["sea"] = "sea"
     stiffness: Positive  # N m/rad
