@@ -63,16 +63,28 @@ def _config(law: str) -> FirmwareConfig:
 
 
 def _samples() -> list[tuple[int, int]]:
-    """Counts of motor and spring encoder while the joint swings by 0.01 rad under a torque of 20 ± 1 N m."""
+    """Counts of motor and joint encoder while the joint swings by 1 mrad around 1 rad, the spring at _TORQUE."""
     joint = description.load(ROBOT).joint(JOINT)
-    angles = [2.0 * math.pi * k / _PATTERN for k in range(_PATTERN)]
+    deflection = _spring_counts() / joint.spring_counts_per_rad
+    angles = [1.0 + 1e-3 * math.sin(2.0 * math.pi * k / _PATTERN) for k in range(_PATTERN)]
     return [
-        (
-            round((1.0 + 0.01 * math.sin(angle)) * joint.sensor.encoder),
-            round((_TORQUE + math.sin(3.0 * angle)) / joint.sensor.torque_resolution),
-        )
+        (round((angle + deflection) * joint.sensor.encoder), round(angle * joint.sensor.joint_encoder))
         for angle in angles
     ]
+
+
+def _spring_counts() -> int:
+    return round(_TORQUE / description.load(ROBOT).joint(JOINT).sensor.torque_resolution)
+
+
+def _pins() -> np.ndarray:
+    """Input pins of a drive that is well, int32."""
+    inputs = np.zeros(pins.N_INPUTS, np.int32)
+    inputs[pins.MOTOR_ENCODER], inputs[pins.JOINT_ENCODER] = _samples()[0]
+    inputs[pins.SPRING_ENCODER] = _spring_counts()
+    inputs[pins.SUPPLY_ADC] = description.load(ROBOT).joint(JOINT).actuator.supply_voltage / pins.VOLT_PER_COUNT
+    inputs[pins.TEMPERATURE_ADC] = 25.0 / pins.KELVIN_PER_COUNT
+    return inputs
 
 
 def _cost_us(run: Callable[[int], None], seconds: float, empty: Callable[[int], None] | None = None) -> float:
@@ -90,12 +102,11 @@ def _cost_us(run: Callable[[int], None], seconds: float, empty: Callable[[int], 
     return fastest(run) - (fastest(empty) if empty is not None else 0.0)
 
 
-def _enabled_drive(config: FirmwareConfig) -> tuple[JointFirmware, Any]:
-    """A drive that follows a torque, and its input pins."""
+def _enabled_drive(config: FirmwareConfig) -> tuple[JointFirmware, Any, Any]:
+    """A drive that follows a torque, its input and its output pins."""
     robot = description.load(ROBOT)
     drive = JointFirmware(robot, robot.joint_names.index(JOINT), config, compile_function)
-    inputs, outputs = np.zeros(pins.N_INPUTS, np.int32), np.zeros(pins.N_OUTPUTS, np.int32)
-    inputs[pins.MOTOR_ENCODER], inputs[pins.SPRING_ENCODER] = _samples()[0]
+    inputs, outputs = _pins(), np.zeros(pins.N_OUTPUTS, np.int32)
     drive.attach(inputs, outputs)
     while drive.state == DriveState.NOT_READY:
         drive.tick(0, ())
@@ -104,7 +115,7 @@ def _enabled_drive(config: FirmwareConfig) -> tuple[JointFirmware, Any]:
         slots = [Setpoint(word, Mode.TORQUE, GainSet.STANCE, _TORQUE)] * messages.SLOTS
         drive.tick(0, (Frame(messages.COMMAND, messages.encode_command(counter, slots)),))
     assert drive.state == DriveState.OPERATION_ENABLED
-    return drive, memoryview(inputs)  # type: ignore[arg-type]
+    return drive, memoryview(inputs), memoryview(outputs)  # type: ignore[arg-type]
 
 
 def interrupt_us(law: str, seconds: float, report_rate: float) -> float:
@@ -112,19 +123,21 @@ def interrupt_us(law: str, seconds: float, report_rate: float) -> float:
     config = FirmwareConfig.model_validate(
         {"law": law, "report_rate": f"{report_rate:g} Hz", "watchdog": "1e6 s", "heartbeat_period": "0 s"}
     )
-    drive, inputs = _enabled_drive(config)
-    samples, motor, spring = _samples(), pins.MOTOR_ENCODER, pins.SPRING_ENCODER
+    drive, inputs, outputs = _enabled_drive(config)
+    samples, motor, joint = _samples(), pins.MOTOR_ENCODER, pins.JOINT_ENCODER
+    sensed, demanded = pins.CURRENT_ADC, pins.CURRENT_DEMAND
     tick = drive.tick
 
     def run(rounds: int) -> None:
         for _ in range(rounds // _PATTERN):
-            for inputs[motor], inputs[spring] in samples:
+            for inputs[motor], inputs[joint] in samples:
+                inputs[sensed] = outputs[demanded]
                 tick(0, ())
 
     def empty(rounds: int) -> None:
         for _ in range(rounds // _PATTERN):
-            for inputs[motor], inputs[spring] in samples:
-                pass
+            for inputs[motor], inputs[joint] in samples:
+                inputs[sensed] = outputs[demanded]
 
     cost = _cost_us(run, seconds, empty)
     assert drive.state == DriveState.OPERATION_ENABLED  # it has worked all the time
@@ -139,9 +152,8 @@ def _input_of(law: ExportedLaw) -> list[float]:
 
 def _counts(law: ExportedLaw) -> np.ndarray:
     """Samples as rows of the law's counts, int32."""
-    names = [quantity.name for quantity in law.counts]
-    rows = np.zeros((_PATTERN, len(names)), np.int32)
-    rows[:, [names.index("motor_encoder"), names.index("spring_encoder")]] = _samples()
+    rows = np.tile(_pins(), (_PATTERN, 1))
+    rows[:, [pins.MOTOR_ENCODER, pins.JOINT_ENCODER]] = _samples()
     return rows
 
 
@@ -150,12 +162,13 @@ def law_emulated_us(law: ExportedLaw, seconds: float) -> float:
     memory.p_array[:], memory.u_array[:] = law.values, _input_of(law)
     rows, counts, evaluate = _counts(law).tolist(), memory.counts, memory.evaluate
     x, x_next = memory.x_array, memory.x_next_array
-    motor, spring = pins.MOTOR_ENCODER, pins.SPRING_ENCODER
+    motor, joint = pins.MOTOR_ENCODER, pins.JOINT_ENCODER
+    memory.counts_array[:] = rows[0]
 
     def run(rounds: int) -> None:
         for _ in range(rounds // _PATTERN):
             for row in rows:
-                counts[motor], counts[spring] = row[motor], row[spring]
+                counts[motor], counts[joint] = row[motor], row[joint]
                 evaluate()
                 x[:] = x_next
 

@@ -29,7 +29,7 @@ def record_laws(scenario: Scenario, duration: float, seed: int = 0) -> dict[str,
 
     def wrap(label: str, node: Any) -> Any:
         if label == "firmware":
-            for drive in node._nodes:
+            for drive in node.nodes:
                 memories[drive.name] = drive._law
                 rows[drive.name] = []
                 drive._evaluate = _noted(drive._law, rows[drive.name])

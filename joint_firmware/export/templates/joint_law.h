@@ -18,7 +18,7 @@
 @operations
  * Memory: @state_bytes bytes of joint_law (and a pointer), @parameter_bytes bytes of constants per joint, @work_bytes bytes of local variables.
  * Nothing is allocated, nothing is static. Of the library: @libm
- * (a compiler may put memset into joint_law_init).
+ * (a compiler may use its memset and memcpy).
  *
  * Compiled without contraction of a * b + c (-ffp-contract=off) the outputs are @exactness.
  */

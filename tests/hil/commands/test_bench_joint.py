@@ -34,9 +34,10 @@ def test_it_says_which_aim_it_has(monkeypatch: pytest.MonkeyPatch, capsys: pytes
 
 def test_the_drive_that_is_measured_closes_its_loop_on_changing_pins() -> None:
     config = FirmwareConfig.model_validate({"watchdog": "1e6 s", "heartbeat_period": "0 s"})
-    drive, inputs = _enabled_drive(config)
+    drive, inputs, outputs = _enabled_drive(config)
     demands = set()
-    for inputs[pins.MOTOR_ENCODER], inputs[pins.SPRING_ENCODER] in _samples():
+    for inputs[pins.MOTOR_ENCODER], inputs[pins.JOINT_ENCODER] in 10 * _samples():
+        inputs[pins.CURRENT_ADC] = outputs[pins.CURRENT_DEMAND]
         drive.tick(0, ())
         demands.add(drive.y[law.Y_DEMAND])
     assert drive.state == DriveState.OPERATION_ENABLED and not drive.error
