@@ -160,7 +160,8 @@ def _counts(law: ExportedLaw) -> np.ndarray:
 def law_emulated_us(law: ExportedLaw, seconds: float) -> float:
     memory = LawMemory(drive_law(description.load(ROBOT).joint(JOINT), _config(law.name)), compile_function)
     memory.p_array[:], memory.u_array[:] = law.values, _input_of(law)
-    rows, counts, evaluate = _counts(law).tolist(), memory.counts, memory.evaluate
+    rows, evaluate = _counts(law).tolist(), memory.evaluate
+    counts = memoryview(memory.counts_array)  # type: ignore[arg-type]
     x, x_next = memory.x_array, memory.x_next_array
     motor, joint = pins.MOTOR_ENCODER, pins.JOINT_ENCODER
     memory.counts_array[:] = rows[0]
