@@ -34,7 +34,7 @@ from robots import description, pins
 
 AIM_US = 5.0
 ROBOT, JOINT = "hume", "left_knee"
-_TORQUE = 20.0  # N m
+_SPRING_COUNTS = 297  # what the spring holds, and what is commanded: nothing is left to integrate
 _PATTERN = 64  # different samples of the encoders: a stretch so short that the processor is not taken away in every one
 
 ROWS = {
@@ -63,9 +63,9 @@ def _config(law: str) -> FirmwareConfig:
 
 
 def _samples() -> list[tuple[int, int]]:
-    """Counts of motor and joint encoder while the joint swings by 1 mrad around 1 rad, the spring at _TORQUE."""
+    """Counts of motor and joint encoder while the joint swings by 1 mrad around 1 rad."""
     joint = description.load(ROBOT).joint(JOINT)
-    deflection = _spring_counts() / joint.spring_counts_per_rad
+    deflection = _SPRING_COUNTS / joint.spring_counts_per_rad
     angles = [1.0 + 1e-3 * math.sin(2.0 * math.pi * k / _PATTERN) for k in range(_PATTERN)]
     return [
         (round((angle + deflection) * joint.sensor.encoder), round(angle * joint.sensor.joint_encoder))
@@ -73,15 +73,16 @@ def _samples() -> list[tuple[int, int]]:
     ]
 
 
-def _spring_counts() -> int:
-    return round(_TORQUE / description.load(ROBOT).joint(JOINT).sensor.torque_resolution)
+def _torque() -> float:
+    """N m."""
+    return _SPRING_COUNTS * description.load(ROBOT).joint(JOINT).sensor.torque_resolution
 
 
 def _pins() -> np.ndarray:
     """Input pins of a drive that is well, int32."""
     inputs = np.zeros(pins.N_INPUTS, np.int32)
     inputs[pins.MOTOR_ENCODER], inputs[pins.JOINT_ENCODER] = _samples()[0]
-    inputs[pins.SPRING_ENCODER] = _spring_counts()
+    inputs[pins.SPRING_ENCODER] = _SPRING_COUNTS
     inputs[pins.SUPPLY_ADC] = description.load(ROBOT).joint(JOINT).actuator.supply_voltage / pins.VOLT_PER_COUNT
     inputs[pins.TEMPERATURE_ADC] = 25.0 / pins.KELVIN_PER_COUNT
     return inputs
@@ -112,7 +113,7 @@ def _enabled_drive(config: FirmwareConfig) -> tuple[JointFirmware, Any, Any]:
         drive.tick(0, ())
     words = (Controlword.SHUTDOWN, Controlword.SWITCH_ON, Controlword.ENABLE_OPERATION)
     for counter, word in enumerate(words, start=1):
-        slots = [Setpoint(word, Mode.TORQUE, GainSet.STANCE, _TORQUE)] * messages.SLOTS
+        slots = [Setpoint(word, Mode.TORQUE, GainSet.STANCE, _torque())] * messages.SLOTS
         drive.tick(0, (Frame(messages.COMMAND, messages.encode_command(counter, slots)),))
     assert drive.state == DriveState.OPERATION_ENABLED
     return drive, memoryview(inputs), memoryview(outputs)  # type: ignore[arg-type]
@@ -146,7 +147,7 @@ def interrupt_us(law: str, seconds: float, report_rate: float) -> float:
 
 def _input_of(law: ExportedLaw) -> list[float]:
     """u of a drive that follows a torque."""
-    values = {"torque": _TORQUE, "limit": 500.0, "torque_mode": 1.0, **law.gains["stance"]}
+    values = {"torque": _torque(), "limit": 500.0, "torque_mode": 1.0, **law.gains["stance"]}
     return [values.get(quantity.name, 0.0) for quantity in law.input]
 
 

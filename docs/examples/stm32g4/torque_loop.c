@@ -1,8 +1,8 @@
 /* 3 kHz torque loop of Hume's left knee on an STM32G4 (Cortex-M4F): the interrupt that calls the exported law.
  *
  * Export first: hil export --robot hume --joint left_knee --precision single --out firmware
- * Addresses are those of the STM32G474 (RM0440). Clocks, pins, timers and ADC are to be set up elsewhere; the state
- * machine, watchdog and protection, which decide whether power may flow, run at a lower priority.
+ * Addresses are those of the STM32G474 (RM0440). Clocks, pins, timers and ADC are to be set up elsewhere; state machine
+ * and watchdog, which decide whether power may flow, run at a lower priority.
  */
 #include "joint_law.h"
 

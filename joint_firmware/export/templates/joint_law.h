@@ -10,8 +10,8 @@
  *     joint_law_step(&law, counts); // in the interrupt, at @rate Hz
  *     demand = (int32_t)law.y[JOINT_LAW_Y_DEMAND];
  *
- * The law is what closes the loop. State machine, watchdog and protection are the firmware's own: it must not pass a
- * demand on to the power stage unless these allow it.
+ * The law closes the loop; output trips says what it has found wrong. State machine and watchdog are the firmware's
+ * own: it must not pass a demand on to the power stage unless these allow it. The law looks at all the counts.
  *
  * In joint_law_step() nothing is repeated or left out depending on data: every call is the worst case, in operations
  * on joint_law_real:
