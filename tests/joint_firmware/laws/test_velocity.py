@@ -69,7 +69,7 @@ def test_t_is_within_one_tick_per_count(ticks, sign, phase):
 
 @given(velocities, st.integers(2, 30), st.floats(0, 1))
 def test_m_t_is_within_one_tick_per_gate(velocity, gate, phase):
-    """Its gate is at least the configured one and ends with an edge: m counts in a time known to a tick at either end."""
+    """Its gate is at least the configured one and ends with an edge: the time of its counts is known to a tick."""
     settle = 2 * gate + 3 * periods(velocity) + 5
     got = estimate("M/T", at(velocity, (settle + 200) * DT, phase), velocity_window=f"{gate * DT!r} s")[round(settle) :]
     time = max(gate, math.floor(periods(velocity)))
