@@ -268,7 +268,7 @@ def test_a_torque_loop_that_cannot_be_stable_is_refused_and_one_that_is_not_pass
     slow = ["firmware.law=cascade", "firmware.velocity_integral=2", "firmware.joints.left_knee.swing.ki=100"]
     (note,) = notes(load("stand", slow))
     assert note.startswith("left_knee, firmware.swing: the cascade is not passive at low frequencies: ki = 100 1/s")
-    with pytest.raises(UserError, match="left_knee, firmware.swing: the cascade with kp = 4, ki = 6000 1/s"):
+    with pytest.raises(UserError, match=r"left_knee, firmware\.swing: the cascade with kp = 4, ki = 6000 1/s"):
         load("stand", ["firmware.law=cascade", "firmware.joints.left_knee.swing.ki=6000"])
     assert len(notes(load("stand", ["firmware.law=valve"]))) == 6
 
