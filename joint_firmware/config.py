@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 from bus.messages import GainSet
 from robots.description import Joint
@@ -16,6 +16,9 @@ from robots.quantities import (
     TorquePerRate,
     TorqueRate,
 )
+
+# torque loops, one per entry of joint_firmware.laws.TORQUE_LOOPS
+LawName = Literal["PD_m", "PID_m"]
 
 
 class TorqueGains(Config):
@@ -36,6 +39,7 @@ class FirmwareConfig(Config):
     watchdog: Seconds = 0.005  # longest silence of the controller before a quick stop
     quick_stop_time: Seconds = 0.5  # damped for this long, then fault
     quick_stop_damping: TorquePerRate = 30.0
+    law: LawName = "PID_m"  # torque loop
     velocity_cutoff: Hertz = 200.0  # first-order filter of differenced encoders
     stance: TorqueGains = TorqueGains(kp=3.0, ki=0.0, kd="10 N m s/rad")  # type: ignore[arg-type]
     swing: TorqueGains = TorqueGains(kp=4.0, ki=20.0, kd="10 N m s/rad")  # type: ignore[arg-type]

@@ -12,10 +12,12 @@ import numpy as np
 from bus import messages
 from bus.frames import Frame
 from bus.messages import GainSet, Mode
-from joint_firmware import law, protection, registers
+from joint_firmware import protection, registers
 from joint_firmware.communication import Communication
 from joint_firmware.config import FirmwareConfig, Settings
 from joint_firmware.drive import POWERED, DriveState, transition
+from joint_firmware.laws import Offsets, drive_law
+from joint_firmware.laws import signals as law
 from joint_firmware.memory import LawMemory
 from joint_firmware.object_dictionary import AbortCode, SdoAbort
 from joint_firmware.objects import drive_dictionary
@@ -69,7 +71,9 @@ class JointFirmware:
         self._torque_fault = protection.TORQUE_FACTOR * config.torque_limit
         self._defaults = Settings(config, joint)
 
-        self._law = memory = LawMemory(compile(law.control_law()))
+        self.law = drive_law(joint, config)
+        self._started, self._theta = map(self.law.states.index, ("started", "theta"))
+        self._law = memory = LawMemory(self.law, compile)
         self._evaluate, self._x, self._x_next = memory.evaluate, memory.x_array, memory.x_next_array
         self._counts, self.x, self.u, self.y = memory.counts, memory.x, memory.u, memory.y
 
@@ -105,10 +109,10 @@ class JointFirmware:
         self._watchdog_ticks = max(round(config.watchdog * config.rate), 1)
         gains = {GainSet.STANCE: config.stance, GainSet.SWING: config.swing}
         self._gains = {index: (g.kp, g.ki, g.kd) for index, g in gains.items()}
-        parameters = law.parameters(settings.joint, config, settings.motor_offset, settings.spring_offset)
-        self._law.p_array[:] = parameters
+        offsets = Offsets(settings.motor_offset, settings.spring_offset)
+        self._law.p_array[:] = self.law.values(settings.joint, config, offsets)
         if (settings.joint.sensor, settings[2:4]) != (previous.joint.sensor, previous[2:4]):
-            self.x[law.STARTED] = 0.0  # a step of the calibration is no motion
+            self.x[self._started] = 0.0  # a step of the calibration is no motion
         if self._command_counter is None:
             self.gain_set = settings.gain_set
         self._use_gains()
@@ -267,7 +271,7 @@ class JointFirmware:
         """Set-points that move nothing: no old one may act when a drive is enabled or its mode changes."""
         u = self.u
         u[law.U_TORQUE] = u[law.U_VELOCITY] = 0.0
-        u[law.U_POSITION] = self.x[law.THETA]  # the motor's, which the spring's torque does not move
+        u[law.U_POSITION] = self.x[self._theta]  # the motor's, which the spring's torque does not move
         u[law.U_LIMIT] = _NO_LIMIT
         self.gain_set = self.settings.gain_set
         self._use_gains()

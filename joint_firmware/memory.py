@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
-from joint_firmware import law
+from joint_firmware.laws import signals
+from joint_firmware.laws.drive_law import DriveLaw
 
 
 def _view(array: np.ndarray) -> memoryview[float]:
@@ -16,19 +18,20 @@ def _view(array: np.ndarray) -> memoryview[float]:
 
 
 class LawMemory:
-    """Arguments and results of ``law.control_law``: arrays, and views of them for single items.
+    """Arguments and results of a law, compiled by ``compile``: arrays, and views of them for single items.
 
     ``evaluate()`` computes ``x_next`` and ``y`` from ``counts``, ``x``, ``u``, ``p``; to step is the caller's.
     """
 
-    def __init__(self, function: ca.Function) -> None:
-        self._function = function
-        self.counts_array = np.zeros(3)
-        self.x_array = np.zeros(law.STATE_SIZE)
-        self.u_array = np.zeros(law.INPUT_SIZE)
-        self.p_array = np.zeros(law.PARAMETER_SIZE)
-        self.x_next_array = np.zeros(law.STATE_SIZE)
-        self.y_array = np.zeros(law.OUTPUT_SIZE)
+    def __init__(self, law: DriveLaw, compile: Callable[[ca.Function], ca.Function]) -> None:
+        self._function = function = compile(law.function)
+        states = len(law.states)
+        self.counts_array = np.zeros(signals.COUNTS_SIZE)
+        self.x_array = np.zeros(states)
+        self.u_array = np.zeros(signals.INPUT_SIZE)
+        self.p_array = np.zeros(len(law.parameters))
+        self.x_next_array = np.zeros(states)
+        self.y_array = np.zeros(signals.OUTPUT_SIZE)
         self._buffer, self.evaluate = function.buffer()
         for index, array in enumerate((self.counts_array, self.x_array, self.u_array, self.p_array)):
             # a memoryview brings its size along; the stubs ask for it

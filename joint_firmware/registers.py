@@ -7,8 +7,9 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 from bus import messages
-from joint_firmware import law, objects
+from joint_firmware import objects
 from joint_firmware.eds import eds
+from joint_firmware.laws import signals as law
 from joint_firmware.object_dictionary import AbortCode, ObjectDictionary, SdoAbort
 from robots import pins
 
@@ -77,6 +78,7 @@ def _device(dictionary: ObjectDictionary, drive: JointFirmware) -> None:
             raise SdoAbort(AbortCode.MAXIMUM_BELOW_MINIMUM)
         drive.configure(joint=drive.settings.joint.model_copy(update={"limits": tuple(limits)}))
 
+    reference = drive.law.states.index("torque_reference")
     place = dictionary.connect
     place(0x603F, 0, lambda: drive.error)
     place(0x6040, 0, lambda: drive.controlword, drive.set_controlword)
@@ -87,7 +89,7 @@ def _device(dictionary: ObjectDictionary, drive: JointFirmware) -> None:
     place(0x606C, 0, lambda: y[law.Y_VELOCITY])
     place(0x6071, 0, lambda: u[law.U_TORQUE] * per_newton_metre, write_target_torque)
     place(0x6072, 0, lambda: drive.settings.config.torque_limit * per_newton_metre, write_max_torque)
-    place(0x6074, 0, lambda: x[law.TORQUE_REFERENCE] * per_newton_metre)
+    place(0x6074, 0, lambda: x[reference] * per_newton_metre)
     place(0x6077, 0, lambda: y[law.Y_TORQUE_SI] * per_newton_metre)
     place(0x6078, 0, lambda: y[law.Y_CURRENT] * messages.AMPERE * per_ampere)
     place(0x6079, 0, lambda: drive.pin(pins.SUPPLY_ADC) * pins.VOLT_PER_COUNT * _MILLI)

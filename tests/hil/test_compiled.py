@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from hil import compiled
-from joint_firmware import law
+from joint_firmware.laws import DriveLaw
 from plant.sea import rotor_step
 
 FUNCTION = ca.Function("tested", [x := ca.SX.sym("x", 3)], [ca.sin(x) * x[0] + ca.floor(x[1]) / 3.0])
@@ -69,7 +69,7 @@ def is_compiled(function):
 
 
 @needs_compiler
-@pytest.mark.parametrize("function", [law.control_law(), rotor_step(6, 1 / 12000)], ids=lambda f: f.name())
+@pytest.mark.parametrize("function", [DriveLaw("PID_m").function, rotor_step(6, 1 / 12000)], ids=lambda f: f.name())
 def test_compiled_and_interpreted_results_are_equal_to_the_bit(function):
     fast = compiled.compile_function(function)
     assert is_compiled(fast)

@@ -11,8 +11,8 @@ from bus import messages
 from bus.frames import Frame
 from bus.messages import Controlword, GainSet, Mode, Setpoint, Statusword
 from hil.compiled import compile_function
-from joint_firmware import law
 from joint_firmware.drive import DriveState
+from joint_firmware.laws import DriveLaw
 from robots import pins
 
 ENABLE = Controlword.ENABLE_OPERATION
@@ -374,7 +374,8 @@ def test_compiled_and_interpreted_drives_are_equal_to_the_bit(bench, seed):
 
 
 def test_the_compiled_law_is_equal_to_the_bit_on_random_numbers():
-    interpreted, compiled = law.control_law(), compile_function(law.control_law())
+    function = DriveLaw("PID_m").function
+    interpreted, compiled = function, compile_function(function)
     rng = np.random.default_rng(7)
     for scale in (1e-3, 1.0, 1e3, 1e9):
         for _ in range(200):

@@ -1,0 +1,44 @@
+"""Torque feedback with damping by the motor's velocity and an optional integral (Kim 2018 (5.16), §5.1.1),
+
+effort = tau_d + kp (tau_d − tau) + I − kd dtheta,      I' = ki (tau_d − tau)
+"""
+
+from __future__ import annotations
+
+import casadi as ca
+
+from joint_firmware.config import FirmwareConfig
+from joint_firmware.laws.block import Offsets, Symbols
+from joint_firmware.laws.signals import Gains
+from joint_firmware.laws.torque_loop import LoopSignals, TorqueLoop, winding
+from robots.description import Joint
+
+
+class PDm(TorqueLoop):
+    """Without the integral, whatever ``ki`` is."""
+
+    name = "PD_m"
+
+    def effort(self, s: LoopSignals, gains: Gains, x: Symbols, p: Symbols) -> ca.SX:
+        return s.reference + gains.kp * (s.reference - s.torque) - gains.kd * s.motor_velocity
+
+
+class PIDm(PDm):
+    """What was integrated counts only while there is an integral gain."""
+
+    name = "PID_m"
+    states = ("integral",)
+    parameters = ("dt",)
+
+    def values(self, joint: Joint, config: FirmwareConfig, offsets: Offsets) -> dict[str, float]:
+        return {"dt": 1.0 / config.rate}
+
+    def effort(self, s: LoopSignals, gains: Gains, x: Symbols, p: Symbols) -> ca.SX:
+        return super().effort(s, gains, x, p) + ca.if_else(gains.ki > 0, x.integral, 0)
+
+    def integrates(self, gains: Gains) -> ca.SX:
+        return gains.ki > 0
+
+    def update(self, s: LoopSignals, gains: Gains, x: Symbols, p: Symbols, effort: ca.SX, applied: ca.SX) -> Symbols:
+        growth = ca.if_else(winding(s, effort, applied), 0, gains.ki * (s.reference - s.torque) * p.dt)
+        return Symbols(integral=ca.if_else(gains.ki > 0, x.integral + growth, 0))

@@ -1,0 +1,45 @@
+"""What goes into a drive's law and what comes out: indices that hold for every law.
+
+``counts`` are the input pins by their numbers (``robots.pins``), ``u`` is what the command asks for, ``y`` what the
+drive reports and does. States and parameters differ by law; they go by name (``DriveLaw.states``, ``.parameters``).
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import casadi as ca
+
+from robots import pins
+
+COUNTS_SIZE = pins.N_INPUTS
+# input u (mode weights are 0 or 1)
+INPUT_SIZE = 10
+(
+    U_TORQUE, U_POSITION, U_VELOCITY, U_LIMIT, U_TORQUE_MODE, U_POSITION_MODE, U_DAMPING_MODE,
+    U_KP, U_KI, U_KD,
+) = range(INPUT_SIZE)  # fmt: skip
+# output y: integers for the message and the pins, then the limit flag, the sensed values in SI, the trips
+OUTPUT_SIZE = 10
+(
+    Y_POSITION, Y_VELOCITY, Y_TORQUE, Y_CURRENT, Y_MOTOR_VELOCITY, Y_DEMAND, Y_LIMITED,
+    Y_TORQUE_SI, Y_POSITION_SI, Y_TRIPS,
+) = range(OUTPUT_SIZE)  # fmt: skip
+
+
+class Sensed(NamedTuple):
+    """What the sensors say, in SI units as seen from the joint."""
+
+    motor_position: ca.SX  # rad
+    position: ca.SX  # rad, of the joint
+    motor_velocity: ca.SX  # rad/s
+    velocity: ca.SX  # rad/s, of the joint
+    torque: ca.SX  # N m, in the spring
+
+
+class Gains(NamedTuple):
+    """Gains of a torque loop, of the set that the command names."""
+
+    kp: ca.SX  # N m/(N m)
+    ki: ca.SX  # N m/(N m s)
+    kd: ca.SX  # N m s/rad
