@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Literal, NamedTuple
 
 from bus.messages import GainSet
+from joint_firmware.protection_config import ProtectionConfig
 from robots.description import Joint
 from robots.quantities import (
     Config,
@@ -48,6 +49,7 @@ class FirmwareConfig(Config):
     position_stiffness: TorquePerRadian = 300.0  # of the motor in cyclic synchronous position, around the torque loop
     position_damping: TorquePerRate = 10.0
     soft_stop_stiffness: Gain = 200.0  # N m/rad beyond a joint limit
+    protection: ProtectionConfig = ProtectionConfig()
 
 
 class Settings(NamedTuple):

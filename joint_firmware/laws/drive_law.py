@@ -32,7 +32,7 @@ _FADE_S = 0.1  # time constant
 class Output(Block):
     """Around the torque loop: what was in force in the tick before, and the power stage."""
 
-    states = ("kp", "ki", "kd", "carry")
+    states = ("kp", "ki", "kd", "carry", "demanded")
     parameters = ("dt", "torque_per_ampere", "current_limit", "quick_stop_damping")
 
     def values(self, joint: Joint, config: FirmwareConfig, offsets: Offsets) -> dict[str, float]:
@@ -71,10 +71,11 @@ class DriveLaw:
         return np.array([values[name] for name in self.parameters])
 
     def _assemble(self) -> ca.Function:
-        counts, u = ca.SX.sym("counts", s.COUNTS_SIZE), ca.SX.sym("u", s.INPUT_SIZE)
+        counts, u_given = ca.SX.sym("counts", s.COUNTS_SIZE), ca.SX.sym("u", s.INPUT_SIZE)
         x, p = symbols(self.states), symbols(self.parameters)
         sensed, sensing_next = self._sensing.sense(counts, x, p)
-        trips, derating, monitor_next = self._monitor.watch(counts, sensed, x, p)
+        u, misled = self._monitor.admit(u_given, p)
+        verdict, monitor_next = self._monitor.watch(counts, u, misled, sensed, x, p)
         wanted, reference_next = self._reference.follow(u, sensed, x, p)
 
         gains, before = s.Gains(u[s.U_KP], u[s.U_KI], u[s.U_KD]), s.Gains(x.kp, x.ki, x.kd)
@@ -84,11 +85,12 @@ class DriveLaw:
         carry = x.carry + bump
         effort = linear + carry
 
-        demand = wanted.active * effort - u[s.U_DAMPING_MODE] * p.quick_stop_damping * sensed.motor_velocity
-        limit = p.current_limit * derating
+        braking = -p.quick_stop_damping * sensed.motor_velocity
+        demand = wanted.active * effort + u[s.U_DAMPING_MODE] * braking
+        demand = ca.if_else(verdict.power_off, 0, ca.if_else(verdict.brake, wanted.active * braking, demand))
         current = demand / p.torque_per_ampere
-        saturated = clip(current, -limit, limit)
-        cut = ca.fabs(current) > limit
+        saturated = clip(current, -p.current_limit, p.current_limit)
+        cut = ca.fabs(current) > p.current_limit
         applied = ca.if_else(cut, saturated * p.torque_per_ampere, effort)
         loop_next = self._loop.update(seen, gains, x, p, effort, applied)
 
@@ -96,7 +98,7 @@ class DriveLaw:
         running = {**vars(loop_next), **gains._asdict(), "carry": carry * (1 - fading * p.dt / _FADE_S)}
         x_next = Symbols(
             **vars(sensing_next), **vars(monitor_next), **vars(reference_next),
-            **{name: wanted.active * value for name, value in running.items()},
+            **{name: wanted.active * value for name, value in running.items()}, demanded=saturated,
         )  # fmt: skip
         y = ca.vertcat(
             _round(sensed.position / RADIAN, _I32),
@@ -108,14 +110,12 @@ class DriveLaw:
             wanted.active * ca.logic_or(wanted.limited, cut),
             sensed.torque,
             sensed.position,
-            trips,
+            verdict.trips,
         )
-        return ca.Function(
-            "joint_law",
-            [counts, vector(x, self.states), u, vector(p, self.parameters)],
-            [vector(x_next, self.states), y],
-            ["counts", "x", "u", "p"], ["x_next", "y"],
-        )  # fmt: skip
+        arguments = [counts, vector(x, self.states), u_given, vector(p, self.parameters)]
+        names = ["counts", "x", "u", "p"]
+        self.levels = ca.Function("levels", arguments, [verdict.levels], names, ["levels"])
+        return ca.Function("joint_law", arguments, [vector(x_next, self.states), y], names, ["x_next", "y"])
 
 
 def _round(value: ca.SX, limit: int) -> ca.SX:
