@@ -77,6 +77,8 @@ class Controller:
         n = len(robot.joints)
         self._n = n
         self._config = config
+        if robot.imu is None:
+            raise ValueError(f"{robot.name} has no IMU to control it by")
         self._imu = robot.imu
         names = robot.joint_names
         self._joint_of = {messages.STATE + joint.node_id: names.index(joint.name) for joint in robot.joints}

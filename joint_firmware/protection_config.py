@@ -12,7 +12,7 @@ from pydantic import Field
 
 from robots.quantities import Config, Radians, Seconds
 
-_Share = Annotated[float, Field(ge=0.01, le=1e6)]  # a large one switches a monitor off
+_Share = Annotated[float, Field(ge=1e-3, le=1e6)]  # a large one switches a monitor off
 _Angle = Annotated[Radians, Field(ge=1e-4, le=1e6)]
 _Time = Annotated[Seconds, Field(ge=0, le=10)]
 
@@ -57,7 +57,10 @@ class ProtectionConfig(Config):
         default=1.0, description="rise of the winding over 25 °C, sensed or computed, of what its insulation permits"
     )
     temperature_time: _Time = Field(default=0.01, description="that it may last")
-    overload_time: _Time = Field(default=2.0, description="that the full current may flow beyond the continuous one (i²t)")
+    # Adiabatic, and from the housing of a motor that has carried its continuous current: half is left
+    overload: _Share = Field(
+        default=0.5, description="heat beyond that of the continuous current (i²t), of what warms the winding to its limit"
+    )
 
     # What no controller asks for that has not lost its mind; the torque limit is for those that have not
     command_range: _Share = Field(default=4.0, description="commanded torque, of the torque limit; velocity, of no load's")

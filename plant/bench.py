@@ -9,8 +9,8 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from plant.actuators.bank import ActuatorBank
 from plant.config import SensorConfig
-from plant.sea import SeriesElasticActuators
 from plant.sensors import JointSensors
 from robots import pins
 from robots.description import Robot
@@ -57,7 +57,7 @@ def _identity(function: ca.Function) -> ca.Function:
 
 
 class Bench:
-    """A joint's actuator (``plant.sea``) and sensors (``plant.sensors``) with ``load`` on its output,
+    """A joint's actuator (``plant.actuators``) and sensors (``plant.sensors``) with ``load`` on its output,
 
         I ddq = tau_s − b dq − m g l sin q
 
@@ -93,14 +93,11 @@ class Bench:
             self._inertia, self._damping = load.inertia, load.damping
         self._weight = load.mass * robot.gravity * load.length if isinstance(load, Pendulum) else 0.0  # N m
         self._q, self._dq = np.array([load.at]), np.zeros(1)
-        self._actuator = SeriesElasticActuators(alone, self._dt, friction_scale, compile)
-        self._actuator.place(self._q)
-        actuator = self._actuator
-        self._sensors = JointSensors(alone, sensors, streams, compile, actuator.rotor, self._q, actuator.current)
-        self._limit = joint.actuator.current_limit
+        self.actuator = ActuatorBank(alone, self._dt, friction_scale, compile, self._q, self._dq)
+        self._sensors = JointSensors(alone, sensors, streams, compile, self.actuator)
+        self._ampere_per_count = joint.actuator.ampere_per_count
         self._inputs = np.zeros((1, pins.N_INPUTS), np.int32)
         self._outputs = np.zeros((1, pins.N_OUTPUTS), np.int32)
-        self._sensors.connect(self._inputs)
         self.pins_in, self.pins_out = self._inputs[0], self._outputs[0]
 
     @property
@@ -115,22 +112,21 @@ class Bench:
 
     @property
     def spring_torque(self) -> float:
-        """Torque of the spring on the load now, N m."""
-        return float(self._actuator.spring_torque(self._q, self._dq)[0])
+        """Torque of the actuator on the load now, N m."""
+        return float(self.actuator.observe().torque[0])
 
     def sample(self) -> None:
         """Write the drive's input pins from the present state."""
         self._sensors.write(self._inputs, ())
 
     def latch(self) -> None:
-        """Let the drive's output pins take effect from now on; the current saturates at its limit."""
+        """Let the drive's output pins take effect from now on."""
         demand, enable = int(self.pins_out[pins.CURRENT_DEMAND]), int(self.pins_out[pins.ENABLE])
-        current = demand * pins.AMPERE_PER_COUNT if enable else 0.0
-        self._actuator.current[0] = min(max(current, -self._limit), self._limit)
+        self.actuator.current[0] = demand * self._ampere_per_count if enable else 0.0
 
     def step(self) -> None:
         """Advance by one step."""
-        torque = self._actuator.step(self._q, self._dq)[0]
+        torque = self.actuator.step()[0]
         if self._locked:
             return
         dt, q = self._dt, self._q[0]
@@ -141,13 +137,13 @@ class Bench:
     def snapshot(self) -> dict[str, Any]:
         return {
             "load": (self._q.copy(), self._dq.copy()),
-            "actuator": self._actuator.snapshot(),
+            "actuator": self.actuator.snapshot(),
             "sensors": self._sensors.snapshot(),
             "pins": (self._inputs.copy(), self._outputs.copy()),
         }
 
     def restore(self, state: dict[str, Any]) -> None:
         self._q[:], self._dq[:] = state["load"]
-        self._actuator.restore(state["actuator"])
+        self.actuator.restore(state["actuator"])
         self._sensors.restore(state["sensors"])
         self._inputs[:], self._outputs[:] = state["pins"]

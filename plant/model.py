@@ -2,7 +2,7 @@
 
 Generalised coordinates: the base's, then the joints in the robot's order. The base is a free joint (position,
 quaternion), or with the planarizer [slider x, z, roll, pitch], all zero at the world's origin, torso upright.
-Rotors, springs and actuator friction are in ``plant.sea``: a joint takes its torque as applied force.
+Rotors, springs and actuator friction are in ``plant.actuators``: a joint takes its torque as applied force.
 """
 
 from __future__ import annotations
@@ -111,7 +111,8 @@ def _base(spec: mujoco.MjSpec, robot: Robot, planarizer: PlanarizerConfig) -> An
         roll.damping[0] = planarizer.roll_damping
         torso.add_joint(name="base_pitch", type=hinge, axis=[0.0, 1.0, 0.0])
     _inertial(torso, robot.base)
-    torso.add_site(name="imu", pos=list(robot.imu.position), size=[0.01, 0.01, 0.01])
+    if robot.imu is not None:
+        torso.add_site(name="imu", pos=list(robot.imu.position), size=[0.01, 0.01, 0.01])
     # What touches the ground in a fall: from the hips to as far above the centre of mass as they are below.
     height = 2.0 * robot.base.com[2]
     _collider(torso.add_geom(

@@ -8,39 +8,46 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from plant.actuators.bank import ActuatorBank
+from plant.actuators.model import Sensed
 from plant.config import SensorConfig
 from robots import imu, pins
-from robots.description import Robot
+from robots.description import Imu, Robot
 
-AMBIENT = 25.0  # °C of the windings
-SUPPLY = 48.0  # V
 FOOT_SWITCH_FORCE = 5.0  # N that close a foot's switch
+# pins that are filled from the actuators, in this order
+_PINS = (
+    pins.MOTOR_ENCODER, pins.SPRING_ENCODER, pins.CURRENT_ADC, pins.TEMPERATURE_ADC, pins.SUPPLY_ADC,
+    pins.JOINT_ENCODER, pins.FORCE_ADC,
+)  # fmt: skip
+# per joint: scales [counts per unit] of motor encoder, spring encoder, current, joint encoder and load cell, errors of
+# the zeros [counts] of spring encoder, current and load cell, and noise [counts, 1σ] of the last two
+_PARAMETERS = 10
 
 
-def sense(n: int) -> ca.Function:
-    """Counts of ``n`` drives: ``(rotor[2n], q[n], current[n], noise[n], p[n, 5]) -> counts[3, n]``.
-
-    counts: motor encoder, spring encoder, current ADC. p: scales of both encoders, error of the spring's zero [counts],
-    error of the current's zero and its noise [A].
-    """
-    rotor, q, current = ca.SX.sym("rotor", 2 * n), ca.SX.sym("q", n), ca.SX.sym("current", n)
-    noise, p = ca.SX.sym("noise", n), ca.SX.sym("p", n, 5)
-    encoder, spring, spring_bias, current_bias, deviation = ca.horzsplit(p)
-    theta = rotor[:n]
+def sense(bank: ActuatorBank) -> ca.Function:
+    """Counts of all drives: ``(*arguments of the bank, noise[2n], p[n, 10]) -> counts[7, n]``, rows as ``_PINS``."""
+    n = len(bank.names)
+    noise, p = ca.SX.sym("noise", 2 * n), ca.SX.sym("p", n, _PARAMETERS)
+    encoder, spring, ampere, joint, force, spring_bias, current_bias, force_bias, current_noise, force_noise = (
+        ca.horzsplit(p)
+    )
+    sensed = Sensed(*(ca.vertcat(*column) for column in zip(*bank.symbols.sensed, strict=True)))
     counts = ca.horzcat(
-        encoder * theta,
-        spring * (theta - q) + spring_bias,
-        (current + current_bias + deviation * noise) / pins.AMPERE_PER_COUNT,
+        encoder * sensed.motor,
+        spring * sensed.deflection + spring_bias,
+        ampere * sensed.current + current_bias + current_noise * noise[:n],
+        sensed.temperature / pins.KELVIN_PER_COUNT,
+        sensed.supply / pins.VOLT_PER_COUNT,
+        joint * bank.symbols.q,
+        force * sensed.effort + force_bias + force_noise * noise[n:],
     )
     rounded = ca.floor(counts + 0.5)
-    return ca.Function("joint_sensors", [rotor, q, current, noise, p], [rounded.T])
+    return ca.Function("joint_sensors", [*bank.symbols.arguments, noise, p], [rounded.T])
 
 
 class JointSensors:
-    """Encoders, current and supply of all drives, as integers on their pins.
-
-    ``rotor`` (angles, velocities), ``q`` [rad] and ``current`` [A] are read where they lie.
-    """
+    """Encoders, current, temperature, supply and load cell of all drives of ``bank``, as integers on their pins."""
 
     def __init__(
         self,
@@ -48,61 +55,64 @@ class JointSensors:
         config: SensorConfig,
         streams: Callable[[str], Any],
         compile: Callable[[ca.Function], ca.Function],
-        rotor: np.ndarray,
-        q: np.ndarray,
-        current: np.ndarray,
+        bank: ActuatorBank,
     ) -> None:
-        n, sensors = len(robot.joints), [joint.sensor for joint in robot.joints]
+        n, joints = len(robot.joints), robot.joints
         bias = streams("plant.joints.bias").normal(2 * n)
-        torque_bias = config.bias * bias[:n] * [sensor.torque_bias for sensor in sensors]
-        current_bias = config.bias * bias[n:] * [sensor.current_bias for sensor in sensors]
-        self._p = np.concatenate([
-            [sensor.encoder for sensor in sensors],
-            [joint.spring_counts_per_rad for joint in robot.joints],
-            torque_bias / [sensor.torque_resolution for sensor in sensors],
-            current_bias,
-            config.noise * np.array([sensor.current_noise for sensor in sensors]),
-        ])  # fmt: skip
-        self._noise, self._draw, self._counts = streams("plant.joints.noise"), np.zeros(n), np.zeros((n, 3))
-        self._buffer, self._evaluate = compile(sense(n)).buffer()
-        for index, array in enumerate((rotor, q, current, self._draw, self._p)):
-            self._buffer.set_arg(index, memoryview(array))  # type: ignore[call-arg, arg-type]
-        self._buffer.set_res(0, memoryview(self._counts.reshape(-1)))  # type: ignore[call-arg, arg-type]
+        force_bias = streams("plant.joints.force_bias").normal(n)
+        rows = []
+        for k, joint in enumerate(joints):
+            sensor, per_ampere = joint.sensor, 1.0 / joint.actuator.ampere_per_count
+            per_effort = 1.0 / sensor.force_resolution if sensor.force_resolution else 0.0
+            rows.append([
+                sensor.encoder, joint.spring_counts_per_rad, per_ampere, sensor.joint_encoder, per_effort,
+                config.bias * bias[k] * sensor.torque_bias / sensor.torque_resolution,
+                config.bias * bias[n + k] * sensor.current_bias * per_ampere,
+                config.bias * force_bias[k] * sensor.force_bias * per_effort,
+                config.noise * sensor.current_noise * per_ampere,
+                config.noise * sensor.force_noise * per_effort,
+            ])  # fmt: skip
+        p = np.asfortranarray(rows).ravel(order="F")
+        self._noise, self._draw = streams("plant.joints.noise"), np.zeros(2 * n)
+        self._force_noise = streams("plant.joints.force_noise")
+        self._with_force = any(joint.sensor.force_noise for joint in joints)
+        self._counts = np.zeros((n, len(_PINS)))
+        self._evaluate = bank.bind(compile(sense(bank)), self._counts.reshape(-1), more=(self._draw, p))
+        self._n, self._columns = n, np.array(_PINS)
         self._knees = [robot.joint_names.index(foot.joint) for foot in robot.feet]
 
-    def connect(self, inputs: np.ndarray) -> None:
-        """Put what never changes on the pins ``inputs`` (n, N_INPUTS) int32."""
-        inputs[:, pins.TEMPERATURE_ADC] = round(AMBIENT / pins.KELVIN_PER_COUNT)
-        inputs[:, pins.SUPPLY_ADC] = round(SUPPLY / pins.VOLT_PER_COUNT)
-
     def write(self, inputs: np.ndarray, loads: Sequence[float]) -> None:
-        """Fill the pins from the present state and the feet's loads [N]."""
-        self._draw[:] = self._noise.normal(len(self._draw))
+        """Fill the pins ``inputs`` (n, N_INPUTS) int32 from the present state and the feet's loads [N]."""
+        n = self._n
+        self._draw[:n] = self._noise.normal(n)
+        if self._with_force:
+            self._draw[n:] = self._force_noise.normal(n)
         self._evaluate()
-        inputs[:, : pins.CURRENT_ADC + 1] = self._counts  # the first three pins are those of ``sense``, in its order
+        inputs[:, self._columns] = self._counts
         for knee, load in zip(self._knees, loads, strict=True):
             inputs[knee, pins.SWITCHES] = pins.FOOT_SWITCH if load > FOOT_SWITCH_FORCE else 0
 
     def snapshot(self) -> Any:
-        return self._noise.snapshot()
+        return self._noise.snapshot(), self._force_noise.snapshot()
 
     def restore(self, state: Any) -> None:
-        self._noise.restore(state)
+        self._noise.restore(state[0])
+        self._force_noise.restore(state[1])
 
 
 class ImuSensor:
     """Gyroscope and accelerometer with white noise and a bias that is constant over a run."""
 
     def __init__(
-        self, robot: Robot, config: SensorConfig, rate: float, streams: Callable[[str], Any]
+        self, description: Imu, config: SensorConfig, rate: float, streams: Callable[[str], Any]
     ) -> None:
-        self._imu = robot.imu
+        self._imu = description
         # a continuous-time density becomes a discrete deviation: divide the variance by the sample period
-        self._gyro_deviation = config.noise * robot.imu.gyro_noise_density * rate**0.5
-        self._force_deviation = config.noise * robot.imu.accelerometer_noise_density * rate**0.5
+        self._gyro_deviation = config.noise * description.gyro_noise_density * rate**0.5
+        self._force_deviation = config.noise * description.accelerometer_noise_density * rate**0.5
         bias = streams("plant.imu.bias").normal(6)
-        self._gyro_bias = config.bias * robot.imu.gyro_bias * bias[:3]
-        self._force_bias = config.bias * robot.imu.accelerometer_bias * bias[3:]
+        self._gyro_bias = config.bias * description.gyro_bias * bias[:3]
+        self._force_bias = config.bias * description.accelerometer_bias * bias[3:]
         self._noise = streams("plant.imu.noise")
 
     def sample(self, gyro: np.ndarray, force: np.ndarray) -> bytes:

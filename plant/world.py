@@ -11,9 +11,9 @@ import mujoco
 import numpy as np
 
 from plant import stance as stances
+from plant.actuators.bank import ActuatorBank
 from plant.config import PushConfig, SensorConfig, StanceConfig, TerrainConfig, WorldConfig
 from plant.model import build, initial_qpos
-from plant.sea import SeriesElasticActuators
 from plant.sensors import ImuSensor, JointSensors
 from robots import description, pins
 from robots.description import Robot
@@ -47,7 +47,9 @@ class World:
         imu_rate: float = 1500.0,
     ) -> None:
         if config.variant is not None:
-            robot = description.load(robot.name, config.variant)
+            robot = description.load(robot.source, config.variant)
+        if robot.imu is None:
+            raise ValueError(f"{robot.name} has no IMU: it is a test stand, not a robot that stands by itself")
         self.robot = robot
         self._config = config
         self._pushes = tuple((push, np.array(push.force)) for push in pushes)
@@ -67,17 +69,12 @@ class World:
         self._push = self.data.xfrc_applied[self._torso]
         self._rotation = self.data.xmat[self._torso]
         self._sensed = self.data.sensordata
-        self._actuators = SeriesElasticActuators(robot, self._dt, config.friction_scale, compile)
-        self._actuators.place(self._q)
-        actuators = self._actuators
-        self._joint_sensors = JointSensors(
-            robot, sensors, streams, compile, actuators.rotor, self._q, actuators.current
-        )
-        self._imu = ImuSensor(robot, sensors, imu_rate, streams)
+        self._actuators = ActuatorBank(robot, self._dt, config.friction_scale, compile, self._q, self._dq)
+        self._joint_sensors = JointSensors(robot, sensors, streams, compile, self._actuators)
+        self._imu = ImuSensor(robot.imu, sensors, imu_rate, streams)
         self.pins_in = np.zeros((n, pins.N_INPUTS), np.int32)
         self.pins_out = np.zeros((n, pins.N_OUTPUTS), np.int32)
-        self._joint_sensors.connect(self.pins_in)
-        self._limits = np.array([joint.actuator.current_limit for joint in robot.joints])
+        self._ampere_per_count = np.array([joint.actuator.ampere_per_count for joint in robot.joints])
         self._steps = 0
         self._state_size = mujoco.mj_stateSize(self.model, mujoco.mjtState.mjSTATE_INTEGRATION)
         mujoco.mj_forward(self.model, self.data)
@@ -91,7 +88,6 @@ class World:
     def attach_pins(self, pins_in: np.ndarray, pins_out: np.ndarray) -> None:
         """Use these arrays as the pins, e.g. in memory shared with the drives."""
         self.pins_in, self.pins_out = pins_in, pins_out
-        self._joint_sensors.connect(pins_in)
 
     @property
     def time(self) -> float:
@@ -106,17 +102,15 @@ class World:
         self._joint_sensors.write(self.pins_in, (-sensed[17], -sensed[20]))  # a foot's force on the ground points down
 
     def latch(self) -> None:
-        """Let the drives' output pins take effect from now on; currents saturate at their limits."""
+        """Let the drives' output pins take effect from now on."""
         current = self._actuators.current
-        np.multiply(self.pins_out[:, pins.CURRENT_DEMAND], pins.AMPERE_PER_COUNT, out=current)
-        np.minimum(current, self._limits, out=current)
-        np.maximum(current, -self._limits, out=current)
+        np.multiply(self.pins_out[:, pins.CURRENT_DEMAND], self._ampere_per_count, out=current)
         current *= self.pins_out[:, pins.ENABLE] != 0
 
     def step(self) -> None:
         """One physics step."""
         now = self.time
-        self._applied[-self._n :] = self._actuators.step(self._q, self._dq)
+        self._applied[-self._n :] = self._actuators.step()
         self._hoist_base(self._hoist(now))
         if self._pushes:
             self._push[:3] = self._push_force(now + 0.5 * self._dt)  # mid-step: the impulse is exact
@@ -131,12 +125,12 @@ class World:
 
     def truth(self) -> np.ndarray:
         """The physical truth now, float64, named by ``truth_fields``; the array is reused."""
-        n, row, sensed, act = self._n, self._truth, self._sensed, self._actuators
+        n, row, sensed, act = self._n, self._truth, self._sensed, self._actuators.observe()
         row[:n] = self._q
         row[n : 2 * n] = self._dq
-        row[2 * n : 3 * n] = act.theta
-        row[3 * n : 4 * n] = act.dtheta
-        row[4 * n : 5 * n] = act.spring_torque(self._q, self._dq)
+        row[2 * n : 3 * n] = act.motor
+        row[3 * n : 4 * n] = act.motor_velocity
+        row[4 * n : 5 * n] = act.torque
         row[5 * n : 6 * n] = act.current
         at = 6 * n
         row[at : at + 3] = sensed[0:3]

@@ -2,18 +2,26 @@
 
 from __future__ import annotations
 
+import importlib.util
+import math
+import sys
 import tomllib
 from functools import cached_property
 from importlib import resources
-from typing import Annotated, Self
+from pathlib import Path
+from typing import Annotated, Any, Self
 
 from pydantic import Field, ValidationError, field_validator, model_validator
 
+from robots.actuators import BUILT_IN, Actuator, AnyActuator
 from robots.quantities import Config
 
 Vector3 = Annotated[tuple[float, float, float], Field()]
 Positive = Annotated[float, Field(gt=0)]
 NonNegative = Annotated[float, Field(ge=0)]
+
+
+JOINT_ENCODER = 2**16 / (2 * math.pi)  # counts per rad: 16 bit per turn, ASSUMED where no source tells
 
 
 class UnknownRobotError(ValueError):
@@ -40,30 +48,16 @@ class Base(Link):
     name: str
 
 
-class Actuator(Config):
-    """A series elastic actuator, all seen from the joint except gear_ratio, torque_constant and current_limit."""
-
-    stiffness: Positive  # N m/rad
-    damping: NonNegative  # N m s/rad, of the spring
-    rotor_inertia: Positive  # kg m², reflected to the joint
-    gear_ratio: Positive
-    torque_constant: Positive  # N m/A at the motor
-    current_limit: Positive  # A
-    coulomb: NonNegative  # N m at the joint, sliding
-    static: NonNegative  # N m at the joint, at rest
-    load_friction: NonNegative  # share of the transmitted torque
-    viscous: NonNegative  # N m s/rad at the joint
-
-    @property
-    def torque_per_ampere(self) -> float:
-        """Motor torque at the joint per ampere, N m/A, without friction."""
-        return self.gear_ratio * self.torque_constant
-
-
 class JointSensor(Config):
-    encoder: float  # motor encoder, counts per rad of the joint, signed
+    """Sensors of a drive, in equivalent rotary coordinates (``robots.actuators``), if rotary those of the joint."""
+
+    encoder: float  # motor encoder, counts per rad, signed
     torque_resolution: float  # N m per count of the spring encoder, signed
+    joint_encoder: float = JOINT_ENCODER  # absolute, counts per rad of the joint, signed
+    force_resolution: float = 0.0  # N m per count of the load cell, signed; 0: there is none
     torque_bias: NonNegative = 0.0  # N m, 1σ, of the spring encoder's zero
+    force_bias: NonNegative = 0.0  # N m, 1σ, of the load cell's zero
+    force_noise: NonNegative = 0.0  # N m, 1σ per sample of the load cell
     current_bias: NonNegative = 0.0  # A, 1σ, of the current sensor's zero
     current_noise: NonNegative = 0.0  # A, 1σ per sample
 
@@ -78,8 +72,17 @@ class Joint(Config):
     axis: Vector3
     limits: tuple[float, float]  # rad
     link: Link
-    actuator: Actuator
+    actuator: AnyActuator
     sensor: JointSensor
+
+    @model_validator(mode="after")
+    def _within_linkage(self) -> Self:
+        linkage = self.actuator.linkage
+        if linkage is not None:
+            low, high = (limit + linkage.offset for limit in self.limits)
+            if not 0 < low < high < math.pi:
+                raise ValueError(f"joint {self.name}: limits {self.limits} stretch out or fold its linkage")
+        return self
 
     @property
     def spring_counts_per_rad(self) -> float:
@@ -111,16 +114,20 @@ class Imu(Config):
 
 
 class Robot(Config):
-    """A whole robot: floating base, joints in the order of the generalised coordinates, feet, buses, IMU."""
+    """A whole robot: floating base, joints in the order of the generalised coordinates, feet, buses, IMU.
+
+    A test stand has joints only: no feet, no IMU.
+    """
 
     name: str
+    source: str = ""  # what ``load`` was given
     gravity: Positive
-    foot_radius: Positive
+    foot_radius: NonNegative = 0.0
     base: Base
     joints: tuple[Joint, ...] = Field(alias="joint")
-    feet: tuple[Foot, ...] = Field(alias="foot")
+    feet: tuple[Foot, ...] = Field(alias="foot", default=())
     buses: tuple[Bus, ...] = Field(alias="bus")
-    imu: Imu
+    imu: Imu | None = None
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
@@ -156,13 +163,18 @@ def available() -> list[str]:
 
 
 def load(name: str, variant: str | None = None) -> Robot:
-    """The robot ``name``, with the masses of ``variant`` if one is named.
+    """The robot ``name`` (built in, or the path of a TOML file), with the masses of ``variant`` if one is named.
 
-    Raises UnknownRobotError for a robot or variant without a description.
+    An actuator's ``motor`` may name a table ``[motor.NAME]`` of the file, its ``kind`` a class of one's own as
+    ``FILE.py:CLASS``, relative to the TOML file: that Python file is executed.
+
+    Raises UnknownRobotError for a robot or variant without a description, and for a wrong description.
     """
-    if name not in available():
-        raise UnknownRobotError(f"no robot {name!r}; there is: {', '.join(available())}")
-    data = tomllib.loads(resources.files("robots").joinpath(f"{name}.toml").read_text(encoding="utf-8"))
+    text, place, folder = _read(name)
+    try:
+        data = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise UnknownRobotError(f"{place}: {error}") from None
     variants = data.pop("variant", {})
     if variant is not None:
         if variant not in variants:
@@ -172,7 +184,71 @@ def load(name: str, variant: str | None = None) -> Robot:
                 joint["link"] for joint in data["joint"] if joint["name"] == part
             )
             link.update(change)
+    motors = data.pop("motor", {})
     try:
-        return Robot.model_validate(data)
-    except ValidationError as error:
-        raise UnknownRobotError(f"robots/{name}.toml: {error}") from None
+        for joint in data.get("joint", ()):
+            _resolve(joint, motors, folder)
+        return Robot.model_validate({**data, "source": name})
+    except (ValidationError, _DescriptionError) as error:
+        raise UnknownRobotError(f"{place}: {error}") from None
+
+
+class _DescriptionError(ValueError):
+    pass
+
+
+def _read(name: str) -> tuple[str, str, Path | None]:
+    """Text of the description, what to call it, and the folder that it may take Python files from."""
+    path = Path(name)
+    if path.suffix == ".toml":
+        try:
+            return path.read_text(encoding="utf-8"), name, path.parent
+        except (OSError, UnicodeDecodeError) as error:
+            raise UnknownRobotError(f"{name}: cannot be read ({error})") from None
+    if name not in available():
+        raise UnknownRobotError(f"no robot {name!r}; there is: {', '.join(available())}, or the path of a TOML file")
+    text = resources.files("robots").joinpath(f"{name}.toml").read_text(encoding="utf-8")
+    return text, f"robots/{name}.toml", None
+
+
+def _resolve(joint: dict[str, Any], motors: dict[str, Any], folder: Path | None) -> None:
+    """Replace what ``joint``'s actuator names by what it means."""
+    actuator, where = joint.get("actuator"), f"joint {joint.get('name')}"
+    if not isinstance(actuator, dict):
+        return
+    motor = actuator.get("motor")
+    if isinstance(motor, str):
+        if motor not in motors:
+            raise _DescriptionError(f"{where}: no [motor.{motor}]; there is: {', '.join(motors) or 'none'}")
+        actuator["motor"] = motors[motor]
+    kind = actuator.get("kind", "sea")
+    if isinstance(kind, str) and ":" in kind and folder is not None:
+        joint["actuator"] = _own_class(kind, folder, where).model_validate(actuator)
+    elif kind not in BUILT_IN:
+        raise _DescriptionError(
+            f"{where}: actuator.kind = {kind!r}: expected one of {', '.join(BUILT_IN)}, or FILE.py:CLASS for one of "
+            "your own"
+        )
+
+
+def _own_class(kind: str, folder: Path, where: str) -> type[Actuator]:
+    """The class that ``FILE.py:CLASS`` names. The file is executed."""
+    file, _, name = kind.rpartition(":")
+    path = folder / file
+    module_name = f"robots.own.{path.resolve().as_posix().replace('.', '_')}"
+    module = sys.modules.get(module_name)
+    if module is None:
+        spec = importlib.util.spec_from_file_location(module_name, path)
+        if spec is None or spec.loader is None or not path.is_file():
+            raise _DescriptionError(f"{where}: actuator.kind = {kind!r}: there is no Python file {path}")
+        module = importlib.util.module_from_spec(spec)
+        sys.modules[module_name] = module  # pydantic looks types up there
+        try:
+            spec.loader.exec_module(module)
+        except Exception as error:
+            del sys.modules[module_name]
+            raise _DescriptionError(f"{where}: {path}: {type(error).__name__}: {error}") from error
+    described = getattr(module, name, None)
+    if not (isinstance(described, type) and issubclass(described, Actuator)):
+        raise _DescriptionError(f"{where}: {path} has no {name} that is derived from robots.actuators.Actuator")
+    return described

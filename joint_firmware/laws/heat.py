@@ -3,7 +3,8 @@
     C_w dT_w = R (1 + α (T_w − 25 °C)) i² − (T_w − T_h) / R_wh,      C_h dT_h = (T_w − T_h) / R_wh − (T_h − 25 °C) / R_ha
 
 The sensor says how warm it is at power-on, in the model as well. i²t is the integral of i² − i_c², never below zero, with
-i_c the current that may flow for ever, of what the full current adds to it in ``overload_time``.
+i_c the current that may flow for ever; its limit is a share of the heat that warms the winding alone by what its
+insulation permits.
 """
 
 from __future__ import annotations
@@ -32,10 +33,14 @@ def continuous_current(actuator: Actuator) -> float:
     motor, thermal = actuator.motor, actuator.thermal
     if motor is None or thermal is None:
         return actuator.current_limit
-    rise = thermal.winding_limit - AMBIENT
-    hot = motor.resistance * (1.0 + COPPER * rise)
     way = thermal.winding_to_housing + thermal.housing_to_ambient
-    return min(math.sqrt(rise / (hot * way)), actuator.current_limit)
+    rise = thermal.winding_limit - AMBIENT
+    return min(math.sqrt(rise / (_hot(motor.resistance, rise) * way)), actuator.current_limit)
+
+
+def _hot(resistance: float, rise: float) -> float:
+    """``resistance`` when ``rise`` K above 25 °C."""
+    return resistance * (1.0 + COPPER * rise)
 
 
 class HeatWatch(Block):
@@ -48,24 +53,21 @@ class HeatWatch(Block):
     def values(self, joint: Joint, config: FirmwareConfig, offsets: Offsets) -> dict[str, float]:
         actuator, limits = joint.actuator, config.protection
         motor, thermal = actuator.motor, actuator.thermal
-        continuous, most = continuous_current(actuator), actuator.current_limit
-        values = {
-            "dt": 1.0 / config.rate,
-            "continuous_square": continuous**2,
-            "overload_limit": max(most**2 - continuous**2, 0.01 * most**2) * max(limits.overload_time, 1e-3),
-        }
+        values = {"dt": 1.0 / config.rate, "continuous_square": continuous_current(actuator) ** 2}
         if motor is None or thermal is None:  # no winding: its temperature stays what the sensor says
             return values | {
                 "resistance": 0.0, "winding_heat": 0.0, "winding_rate": 0.0, "housing_rate": 0.0, "housing_share": 0.0,
-                "permitted_rise": 1e9,
+                "permitted_rise": 1e9, "overload_limit": 1e9,
             }  # fmt: skip
+        rise = thermal.winding_limit - AMBIENT
         return values | {
+            "overload_limit": limits.overload * thermal.winding_capacity * rise / _hot(motor.resistance, rise),  # A² s
             "resistance": motor.resistance,
             "winding_heat": 1.0 / thermal.winding_capacity,  # K/J
             "winding_rate": 1.0 / (thermal.winding_to_housing * thermal.winding_capacity),  # 1/s
             "housing_rate": 1.0 / (thermal.winding_to_housing * thermal.housing_capacity),
             "housing_share": 1.0 / (thermal.housing_to_ambient * thermal.housing_capacity),
-            "permitted_rise": limits.over_temperature * (thermal.winding_limit - AMBIENT),
+            "permitted_rise": limits.over_temperature * rise,
         }
 
     def watch(self, counts: ca.SX, current: ca.SX, x: Symbols, p: Symbols) -> tuple[Heat, Symbols]:
@@ -73,7 +75,7 @@ class HeatWatch(Block):
         sensed = counts[pins.TEMPERATURE_ADC] * pins.KELVIN_PER_COUNT
         winding = ca.if_else(x.started > 0, x.winding_temperature, sensed)
         housing = ca.if_else(x.started > 0, x.housing_temperature, sensed)
-        power = p.resistance * (1.0 + COPPER * (winding - AMBIENT)) * current**2
+        power = p.resistance * (1.0 + COPPER * (winding - AMBIENT)) * current**2  # W
         across = winding - housing
         winding_next = winding + p.dt * (p.winding_heat * power - p.winding_rate * across)
         housing_next = housing + p.dt * (p.housing_rate * across - p.housing_share * (housing - AMBIENT))

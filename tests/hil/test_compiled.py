@@ -9,8 +9,11 @@ import pytest
 
 from hil import compiled
 from joint_firmware.laws import DriveLaw
-from plant.sea import rotor_step
+from plant.actuators.bank import Symbols
+from plant.actuators.model import ActuatorModel
+from robots import description
 
+ACTUATORS = Symbols([ActuatorModel.of(joint.actuator) for joint in description.load("hume").joints], 1 / 12000).step()
 FUNCTION = ca.Function("tested", [x := ca.SX.sym("x", 3)], [ca.sin(x) * x[0] + ca.floor(x[1]) / 3.0])
 
 VERSION = b'if [ "$1" = --version ]; then echo "broken 1.0"; exit 0; fi\n'  # of a stand-in for a compiler
@@ -69,7 +72,7 @@ def is_compiled(function):
 
 
 @needs_compiler
-@pytest.mark.parametrize("function", [DriveLaw("PID_m").function, rotor_step(6, 1 / 12000)], ids=lambda f: f.name())
+@pytest.mark.parametrize("function", [DriveLaw("PID_m").function, ACTUATORS], ids=lambda f: f.name())
 def test_compiled_and_interpreted_results_are_equal_to_the_bit(function):
     fast = compiled.compile_function(function)
     assert is_compiled(fast)

@@ -7,19 +7,22 @@ from scipy.integrate import solve_ivp
 
 from bus.messages import GainSet
 from joint_firmware.drive import DriveState
-from plant.sea import rotor_step
+from plant.actuators.bank import Symbols
+from plant.actuators.model import ActuatorModel
 from robots import pins
 
 ISR = 3000
 STEPS = 4  # of physics per interrupt
-STEP = rotor_step(1, 1.0 / (ISR * STEPS))
 
 
 def held_joint(drive, ticks, friction=1.0, start=(0.0, 0.0), silent=False, **setpoint):
     """Run ``drive`` on its actuator, joint at zero. Returns rotor (angle, velocity) before every tick."""
     a = drive.joint.actuator
-    p = np.array([[a.stiffness, a.damping, a.rotor_inertia, a.torque_per_ampere, a.current_limit,
-                   *(friction * f for f in (a.coulomb, a.static, a.load_friction)), a.viscous]])  # fmt: skip
+    model = ActuatorModel.of(a)
+    step = Symbols([model], 1.0 / (ISR * STEPS)).step()
+    p = np.array([
+        value * (friction if name in model.friction else 1.0) for name, value in model.parameters().items()
+    ])  # fmt: skip
     rotor, rows, demand = np.array(start), [], 0.0
     for tick in range(ticks):
         rows.append(rotor)
@@ -27,7 +30,7 @@ def held_joint(drive, ticks, friction=1.0, start=(0.0, 0.0), silent=False, **set
         drive.inputs[pins.SPRING_ENCODER] = np.rint(drive.joint.spring_counts_per_rad * rotor[0])
         drive.tick(*([] if silent or tick % 2 else [drive.frame(0x0F, **setpoint)]))
         for _ in range(STEPS):
-            rotor = np.array(STEP(rotor, demand * drive.enabled, (0.0, 0.0), p)[0]).ravel()
+            rotor = np.array(step(rotor, demand * drive.enabled, a.supply_voltage, 0.0, 0.0, p)[0]).ravel()
         # takes effect at the next interrupt
         demand = drive.outputs[pins.CURRENT_DEMAND] * pins.AMPERE_PER_COUNT
     return np.array(rows)

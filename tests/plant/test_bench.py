@@ -91,7 +91,7 @@ def test_a_flywheel_without_losses_keeps_the_momentum_that_the_motor_gave():
     bench.latch()
     for _ in range(5000):
         bench.step()
-    momentum = a.rotor_inertia * bench._actuator.dtheta[0] + load.inertia * bench.velocity
+    momentum = a.rotor_inertia * bench.actuator.observe().motor_velocity[0] + load.inertia * bench.velocity
     assert momentum == pytest.approx(a.torque_per_ampere * 1200 / RATE, rel=1e-6)
 
 

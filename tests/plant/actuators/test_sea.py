@@ -6,18 +6,26 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from plant.sea import SeriesElasticActuators, rotor_step
+from plant.actuators.bank import ActuatorBank, Symbols
+from plant.actuators.model import ActuatorModel
 from robots import description
 
 HIP = description.load("hume").joint("right_hip").actuator
 DT = 1.0 / 3000.0
-STEP = rotor_step(1, DT)
+
+
+def stepper(dt):
+    """``(rotor, current, joint, p) -> (next, torque)`` of one actuator, the supply on."""
+    function = Symbols([ActuatorModel.of(HIP)], dt).step()
+    return lambda rotor, current, joint, p: function(rotor, current, HIP.supply_voltage, joint[0], joint[1], p)
+
+
+STEP = stepper(DT)
+NAMES = list(ActuatorModel.of(HIP).parameters())
 
 
 def parameters(**change):
-    a = HIP.model_copy(update=change)
-    return np.array([[a.stiffness, a.damping, a.rotor_inertia, a.torque_per_ampere, a.current_limit,
-                      a.coulomb, a.static, a.load_friction, a.viscous]])  # fmt: skip
+    return np.array(list(ActuatorModel.of(HIP.model_copy(update=change)).parameters().values()))
 
 
 FRICTIONLESS = {"coulomb": 0.0, "static": 0.0, "load_friction": 0.0, "viscous": 0.0}
@@ -59,7 +67,7 @@ def test_transmitted_torque_adds_to_breakaway():
 
 def test_a_coasting_rotor_stops_after_the_time_and_the_way_of_dry_friction():
     p = parameters(damping=0.0, viscous=0.0, static=HIP.coulomb)
-    p[0, 0] = 0.0  # no spring
+    p[NAMES.index("stiffness")] = 0.0  # no spring
     rows = run(p, (0.0, 2.0), steps=300)
     deceleration = HIP.coulomb / HIP.rotor_inertia
     stopped = int(np.flatnonzero(rows[:, 1] == 0.0)[0])
@@ -103,7 +111,7 @@ def _reference(dt, duration, current):
 
 
 def _ours(dt, duration, current):
-    step = rotor_step(1, dt)
+    step = stepper(dt)
     p = parameters(coulomb=0.0, static=0.0, load_friction=0.0)
     rotor, q, dq = np.zeros(2), 0.0, 0.0
     for _ in range(round(duration / dt)):
@@ -122,16 +130,19 @@ def test_agrees_with_two_hinges_and_a_tendon_at_first_order():
 
 def test_all_actuators_at_once_are_each_alone():
     robot = description.load("hume")
-    together = SeriesElasticActuators(robot, DT, 1.0, lambda f: f)
     rng = np.random.default_rng(3)
     q, dq = rng.normal(size=6), rng.normal(size=6)
-    together.place(q + 0.1)
+    together = ActuatorBank(robot, DT, 1.0, lambda f: f, q, dq)
+    start = together.state.copy()
     together.current[:] = 10.0 * rng.normal(size=6)
-    torque = together.step(q, dq).copy()
+    q += 0.1
+    torque = together.step().copy()
     for i, joint in enumerate(robot.joints):
-        a = joint.actuator
-        p = [[a.stiffness, a.damping, a.rotor_inertia, a.torque_per_ampere, a.current_limit,
-              a.coulomb, a.static, a.load_friction, a.viscous]]  # fmt: skip
-        rotor, alone = STEP((q[i] + 0.1, 0.0), together.current[i], (q[i], dq[i]), np.array(p))
+        model = ActuatorModel.of(joint.actuator)
+        own = list(together.symbols.state_index[i].values())
+        after, alone = Symbols([model], DT).step()(
+            start[own], together.current[i], joint.actuator.supply_voltage, q[i], dq[i],
+            np.array(list(model.parameters().values())),
+        )  # fmt: skip
         assert float(alone) == torque[i]
-        assert np.array(rotor).ravel().tolist() == [together.theta[i], together.dtheta[i]]
+        assert np.array(after).ravel().tolist() == together.state[own].tolist()
