@@ -57,7 +57,7 @@ class Emergency(NamedTuple):
         return ErrorRegister.GENERIC | self.register if self.code else 0
 
 
-# 0x8130, 0x6100: emergency error codes of CiA 301; all others: error codes of the drive profile, CiA 402 (IEC 61800-7-201)
+# 0x8130, 0x6100: emergency error codes of CiA 301; all others: error codes of the drive profile CiA 402 (IEC 61800-7)
 EMERGENCIES: dict[DriveFault, Emergency] = {
     DriveFault.NONE: Emergency(0x0000, 0),  # error reset, or no error
     DriveFault.MOTOR_ENCODER: Emergency(0x7305, ErrorRegister.PROFILE),  # incremental sensor 1 fault

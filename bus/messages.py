@@ -118,7 +118,7 @@ class State(NamedTuple):
     current: float  # A
     motor_velocity: float  # rad/s, motor as seen from the joint
     command_counter: int  # counter of the command in force, modulo 2**16
-    error: int  # CiA 402 error code's low byte; 0: none
+    error: int  # the fault in force: a number of ``bus.drive_faults.DriveFault``
     temperature: int  # °C
 
 

@@ -39,8 +39,8 @@ REACTIONS: dict[DriveFault, Reaction] = {
     DriveFault.WATCHDOG: Reaction.BRAKE,
 }
 
-# While a drive brakes, whatever for, only these matter: what braking itself relies on. Others may follow from the first,
-# as too much torque follows from a spring encoder that has jumped.
+# While a drive brakes, whatever for, only these matter: what braking itself relies on. Others may follow from the
+# first, as too much torque follows from a spring encoder that has jumped.
 OF_BRAKING = (
     DriveFault.MOTOR_ENCODER, DriveFault.CURRENT_SENSOR, DriveFault.UNDER_VOLTAGE, DriveFault.OVER_VOLTAGE,
     DriveFault.OVER_CURRENT, DriveFault.TIME_OVERRUN,

@@ -18,12 +18,14 @@ _Time = Annotated[Seconds, Field(ge=0, le=10)]
 
 
 class ProtectionConfig(Config):
+    """When a drive's protection trips (``joint_firmware.laws.monitor``)."""
+
     # Encoders. Motor, spring and joint encoder are three for two angles: what the motor's says less the deflection is
     # what the joint's says, to the counts (up to 0.2 mrad) whatever moves. Nothing real moves a joint by more than
     # 3 mrad against itself within an interrupt.
     encoder_jump: _Angle = Field(default=0.003, description="step of one encoder against the others in an interrupt")
     # A quarter of the deflection at which a spring of 400 N m/rad carries 8 N m: below what friction hides
-    encoder_stuck: _Angle = Field(default=0.005, description="what the others move while one does not")
+    encoder_stuck: _Angle = Field(default=0.005, description="what the others move while one stands still")
     encoder_mismatch: _Angle = Field(default=0.010, description="what motor, spring and joint encoder differ by")
     encoder_time: _Time = Field(default=0.003, description="that an encoder may be stuck, or that they may differ")
 
@@ -31,22 +33,24 @@ class ProtectionConfig(Config):
     over_current: _Share = Field(default=1.25, description="measured current, of the actuator's limit")
     over_current_time: _Time = Field(default=0.001, description="that it may last")
     current_error: _Share = Field(
-        default=0.3, description="measured from demanded current, of the limit, while half of the supply is left to drive it"
+        default=0.3,
+        description="measured less demanded current, of the limit, while half of the supply is left to drive it",
     )
     current_error_time: _Time = Field(default=0.02, description="that it may last")
 
     over_torque: _Share = Field(default=1.5, description="torque of the spring, of the torque limit")
     # Friction is what the motor's own equation leaves unexplained: up to 9 N m and 10 % of the load of 168 N m
     spring_error: _Share = Field(
-        default=0.25, description="torque that motor, current and spring do not explain, of the motor's at its current limit"
+        default=0.25,
+        description="torque that current, spring and the motor's motion do not explain, of that at the current limit",
     )
     spring_time: _Time = Field(default=0.03, description="that it may last")
 
     # A motor does not drive itself beyond its no-load speed. Half as much again is what 100 V transistors bear of its
     # back-EMF at 48 V with as much to spare.
-    over_speed: _Share = Field(default=1.5, description="speed of the motor, of that without load at the nominal supply")
+    over_speed: _Share = Field(default=1.5, description="speed of the motor, of its no-load speed at nominal supply")
     over_speed_time: _Time = Field(default=0.005, description="that it may last")
-    position_margin: _Angle = Field(default=0.2, description="of the joint beyond its limits, where its soft stops begin")
+    position_margin: _Angle = Field(default=0.2, description="of the joint beyond where its soft stops begin")
 
     # 36 V and 60 V of 48 V: twelve cells of lithium emptied, and the most that counts as extra-low voltage
     under_voltage: _Share = Field(default=0.75, description="supply, of the actuator's nominal voltage")
@@ -59,10 +63,13 @@ class ProtectionConfig(Config):
     temperature_time: _Time = Field(default=0.01, description="that it may last")
     # Adiabatic, and from the housing of a motor that has carried its continuous current: half is left
     overload: _Share = Field(
-        default=0.5, description="heat beyond that of the continuous current (i²t), of what warms the winding to its limit"
+        default=0.5,
+        description="heat beyond that of the continuous current (i²t), of what warms the winding alone to its limit",
     )
 
     # What no controller asks for that has not lost its mind; the torque limit is for those that have not
-    command_range: _Share = Field(default=4.0, description="commanded torque, of the torque limit; velocity, of no load's")
+    command_range: _Share = Field(
+        default=4.0, description="commanded torque, of the torque limit; commanded velocity, of the no-load speed"
+    )
     time_budget: _Share = Field(default=0.9, description="time that an interrupt may take, of its period")
     time_overrun_time: _Time = Field(default=0.001, description="that its overruns may last")

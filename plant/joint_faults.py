@@ -54,7 +54,7 @@ class _Fault:
 
 
 class SensorFaults:
-    """What is wrong with the sensors of the joints of a robot. ``active`` tells whether ``apply`` has anything to do."""
+    """What is wrong with the sensors of a robot's joints. ``active`` tells whether ``apply`` has anything to do."""
 
     def __init__(self, robot: Robot, streams: Callable[[str], Any]) -> None:
         self._joints: Sequence[Joint] = robot.joints

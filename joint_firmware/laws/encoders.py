@@ -3,8 +3,8 @@
     residual = (theta − deflection) − q, constant whatever moves
 
 The residual is compared with what it was when the drive started, so that an error of the calibration is none of an
-encoder. It changes only when an encoder is wrong; which one, each fault tells in its own way. Within an interrupt: the one
-whose own step is not like its step before. Slowly: the one whose counts stand still meanwhile. Else it stays open.
+encoder. It changes only when an encoder is wrong; which one, each fault tells in its own way. Within an interrupt: the
+one whose own step is not like its step before. Slowly: the one whose counts stand still meanwhile. Else it stays open.
 """
 
 from __future__ import annotations

@@ -1,6 +1,7 @@
-"""How warm the motor is: its sensor, a model of winding and housing, and i²t for what heats faster than either shows.
+"""How warm the motor is: its sensor, a model of winding and housing, and i²t for what heats faster than a sensor shows.
 
-    C_w dT_w = R (1 + α (T_w − 25 °C)) i² − (T_w − T_h) / R_wh,      C_h dT_h = (T_w − T_h) / R_wh − (T_h − 25 °C) / R_ha
+    C_w dT_w = R (1 + α (T_w − 25 °C)) i² − (T_w − T_h) / R_wh
+    C_h dT_h = (T_w − T_h) / R_wh − (T_h − 25 °C) / R_ha
 
 The sensor says how warm it is at power-on, in the model as well. i²t is the integral of i² − i_c², never below zero, with
 i_c the current that may flow for ever; its limit is a share of the heat that warms the winding alone by what its
@@ -29,7 +30,7 @@ class Heat(NamedTuple):
 
 
 def continuous_current(actuator: Actuator) -> float:
-    """Current that heats the winding to its limit in the end, A; that of the drive where it is less, or without a motor."""
+    """Current that heats the winding to its limit in the end, A; at most that of the drive, also without a motor."""
     motor, thermal = actuator.motor, actuator.thermal
     if motor is None or thermal is None:
         return actuator.current_limit

@@ -1,9 +1,9 @@
 """Between sensing and the rest: what the signals say about the drive's health, and what follows for the current.
 
 Each watch is a level, the share of its limit that is used; one that has been above 1 for its time is a trip. The trip
-word has bit ``1 << fault`` of ``bus.drive_faults`` for every trip, as long as its cause is there: a level with a release
-must first fall below that. Nothing is latched here; that is the drive's state machine. But a trip acts on the current
-of the same interrupt, so that what is exported protects by itself.
+word has bit ``1 << fault`` of ``bus.drive_faults`` for every trip, as long as its cause is there: a level with a
+release must first fall below that. Nothing is latched here; that is the drive's state machine. But a trip acts on the
+current of the same interrupt, so that what is exported protects by itself.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from joint_firmware.protection import OF_BRAKING, REACTIONS, Reaction
 from robots import pins
 from robots.description import Joint
 
-_CURRENT_BLEND_S = 0.005  # time constant behind which measured and demanded current are compared: the current loop's lag
+_CURRENT_BLEND_S = 0.005  # time constant behind which measured and demanded current are compared
 _OBSERVER_RATE = 2 * math.pi * 10.0  # rad/s, of the torque that is not explained: below the springs' resonances
 _NEVER = 1e9  # a limit that nothing reaches
 
@@ -110,7 +110,7 @@ class Monitor(Block):
         }
 
     def admit(self, u: ca.SX, p: Symbols) -> tuple[ca.SX, ca.SX]:
-        """``u`` with set-points of zero instead of those that are not finite or out of range, and the level of those."""
+        """``u`` with zero for every set-point that is not finite or out of range, and the level of the largest."""
         ranges = {s.U_TORQUE: p.torque_range, s.U_POSITION: p.position_range, s.U_VELOCITY: p.velocity_range}
         shares = {index: ca.fabs(u[index]) / limit for index, limit in ranges.items()}
         sound = [share <= 1.0 for share in shares.values()]  # NaN is not
