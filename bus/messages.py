@@ -245,6 +245,12 @@ def decode_setpoint(data: bytes, slot: int) -> Setpoint:
     )  # fmt: skip
 
 
+def overwrite_torque(data: bytearray, slot: int, counts: int) -> None:
+    """Put ``counts`` in the place of the torque of one slot of a command frame's bytes."""
+    torque = struct.calcsize("<" + SLOT_LAYOUT[: Setpoint._fields.index("torque")])
+    struct.pack_into("<i", data, _COMMAND_HEADER.size + _ONE_SLOT.size * slot + torque, counts)
+
+
 def newer(counter: int, than: int) -> bool:
     """Whether 16-bit ``counter`` is ahead of ``than`` (serial number arithmetic, RFC 1982)."""
     return 0 < ((counter - than) & _U16) < 0x8000

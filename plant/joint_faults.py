@@ -1,6 +1,6 @@
-"""Faults of the joints' sensors, on the pins behind the sensor models, and the keys of what is wrong with a joint.
+"""What is wrong with joints: sensors that lie on the pins behind their models, supplies, springs, friction.
 
-Nothing here is called while all sensors are well.
+Nothing here is called in a tick while all sensors are well.
 """
 
 from __future__ import annotations
@@ -11,6 +11,8 @@ from typing import Any
 
 import numpy as np
 
+from plant.actuators.bank import ActuatorBank
+from plant.actuators.model import ActuatorModel
 from robots import pins
 from robots.description import Joint, Robot
 
@@ -24,6 +26,7 @@ _SENSORS = {
     "joint_encoder": pins.JOINT_ENCODER,
     "current_sensor": pins.CURRENT_ADC,
 }
+_SPRING = ("stiffness", "damping")
 
 
 @dataclass
@@ -53,49 +56,49 @@ class _Fault:
         return 0  # dead
 
 
-class SensorFaults:
-    """What is wrong with the sensors of a robot's joints. ``active`` tells whether ``apply`` has anything to do."""
+class FaultyJoints:
+    """The faults of ``plant.config.JointFaults`` in the joints of a robot and their actuators ``bank``.
 
-    def __init__(self, robot: Robot, streams: Callable[[str], Any]) -> None:
+    ``on_pins`` tells whether ``apply`` has anything to do.
+    """
+
+    def __init__(self, robot: Robot, bank: ActuatorBank, streams: Callable[[str], Any]) -> None:
         self._joints: Sequence[Joint] = robot.joints
+        self._bank = bank
         self._noise = streams("plant.joints.faults")
+        self._nominal = [{name: bank.get(k, name) for name in bank.parameters(k)} for k in range(len(robot.joints))]
         self._faults: dict[tuple[int, int], _Fault] = {}
         self._warmer: dict[int, int] = {}  # by joint, counts
         self._late: dict[int, int] = {}  # by joint, µs
-        self.active = False
+        self.on_pins = False
 
     def set(self, joint: int, key: str, value: Any) -> None:
-        """Set a key of ``plant.config.JointFaults`` that is a sensor's. Raises KeyError for another one."""
+        """Set a key of ``JointFaults``, in SI units. Raises KeyError for one that is not the plant's."""
+        of = self._joints[joint]
         if key in _SENSORS:
             pin = _SENSORS[key]
             self._faults.pop((joint, pin), None)
             if value != "ok":
-                self._faults[joint, pin] = _Fault(joint, pin, value, *self._amounts(joint, pin))
+                self._faults[joint, pin] = _Fault(joint, pin, value, *_amounts(of, pin))
         elif key == "heating":
-            self._keep(self._warmer, joint, round(value / pins.KELVIN_PER_COUNT))
+            _keep(self._warmer, joint, round(value / pins.KELVIN_PER_COUNT))
         elif key == "isr_time":
-            self._keep(self._late, joint, round(1e6 * value))
+            _keep(self._late, joint, round(1e6 * value))
+        elif key == "supply":
+            self._bank.supply[joint] = value * of.actuator.supply_voltage
+        elif key == "spring":
+            self._scale(joint, _SPRING, value)
+        elif key == "friction":
+            self._scale(joint, ActuatorModel.of(of.actuator).friction, value)
         else:
             raise KeyError(key)
-        self.active = bool(self._faults or self._warmer or self._late)
+        self.on_pins = bool(self._faults or self._warmer or self._late)
 
-    def _keep(self, table: dict[int, int], joint: int, value: int) -> None:
-        table.pop(joint, None)
-        if value:
-            table[joint] = value
-
-    def _amounts(self, joint: int, pin: int) -> tuple[float, float]:
-        """Counts of a jump, and the deviation of noise."""
-        of = self._joints[joint]
-        if pin == pins.CURRENT_ADC:
-            scale = of.actuator.current_limit / pins.AMPERE_PER_COUNT
-            return CURRENT_JUMP * scale, CURRENT_NOISE * scale
-        scale = {
-            pins.MOTOR_ENCODER: of.sensor.encoder,
-            pins.SPRING_ENCODER: of.spring_counts_per_rad,
-            pins.JOINT_ENCODER: of.sensor.joint_encoder,
-        }[pin]
-        return JUMP * scale, NOISE * scale
+    def _scale(self, joint: int, names: Sequence[str], share: float) -> None:
+        """Set those of these parameters that the joint's actuator has to ``share`` of their own values."""
+        for name in names:
+            if name in self._nominal[joint]:
+                self._bank.set(joint, name, share * self._nominal[joint][name])
 
     def apply(self, inputs: np.ndarray) -> None:
         """Change what the drives' pins ``inputs`` (joints, N_INPUTS) say."""
@@ -107,7 +110,8 @@ class SensorFaults:
             inputs[joint, pins.ISR_TIMER] = time
 
     def snapshot(self) -> Any:
-        faults = [(vars(fault).copy()) for fault in self._faults.values()]
+        """What the bank's own snapshot does not hold."""
+        faults = [vars(fault).copy() for fault in self._faults.values()]
         return self._noise.snapshot(), faults, dict(self._warmer), dict(self._late)
 
     def restore(self, state: Any) -> None:
@@ -115,4 +119,23 @@ class SensorFaults:
         self._noise.restore(noise)
         self._faults = {(fault["joint"], fault["pin"]): _Fault(**fault) for fault in faults}
         self._warmer, self._late = dict(warmer), dict(late)
-        self.active = bool(self._faults or self._warmer or self._late)
+        self.on_pins = bool(self._faults or self._warmer or self._late)
+
+
+def _keep(table: dict[int, int], joint: int, value: int) -> None:
+    table.pop(joint, None)
+    if value:
+        table[joint] = value
+
+
+def _amounts(joint: Joint, pin: int) -> tuple[float, float]:
+    """Counts of a jump, and the deviation of noise."""
+    if pin == pins.CURRENT_ADC:
+        scale = joint.actuator.current_limit / joint.actuator.ampere_per_count
+        return CURRENT_JUMP * scale, CURRENT_NOISE * scale
+    scale = {
+        pins.MOTOR_ENCODER: joint.sensor.encoder,
+        pins.SPRING_ENCODER: joint.spring_counts_per_rad,
+        pins.JOINT_ENCODER: joint.sensor.joint_encoder,
+    }[pin]
+    return JUMP * scale, NOISE * scale

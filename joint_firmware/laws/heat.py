@@ -3,8 +3,8 @@
     C_w dT_w = R (1 + α (T_w − 25 °C)) i² − (T_w − T_h) / R_wh
     C_h dT_h = (T_w − T_h) / R_wh − (T_h − 25 °C) / R_ha
 
-The sensor says how warm it is at power-on, in the model as well. i²t is the integral of i² − i_c², never below zero, with
-i_c the current that may flow for ever; its limit is a share of the heat that warms the winding alone by what its
+The sensor says how warm it is at power-on, in the model as well. i²t is the integral of i² − i_c², never below zero,
+with i_c the current that may flow for ever; its limit is a share of the heat that warms the winding alone by what its
 insulation permits.
 """
 
