@@ -77,9 +77,9 @@ class JointFaults(Config):
     """What is wrong with one joint.
 
     All can also be injected while a run goes on: their descriptions, units, bounds and defaults are what
-    ``hil inject --list`` shows. A sensor is ``stuck`` at its last reading, has made a ``jump`` (encoders 0.1 rad, current
-    1.5 times its limit), ``slip`` loses every tenth count, ``noisy`` is a σ of 5 mrad or of half of the limit, ``dead``
-    reads 0. All but ``command`` act in the plant.
+    ``hil inject --list`` shows. A sensor is ``stuck`` at its last reading, has made a ``jump`` (encoders 0.1 rad,
+    current 1.5 times its limit), ``slip`` loses every tenth count, ``noisy`` is a σ of 5 mrad or of half of the limit,
+    ``dead`` reads 0. All but ``command`` act in the plant.
     """
 
     encoder: Sensor = Field(default="ok", description="incremental encoder of the motor")
