@@ -63,6 +63,7 @@ class JointFirmware:
         bus = next(bus for bus in robot.buses if joint.name in bus.joints)
         self.name, self.node_id = joint.name, joint.node_id
         self._state_id = messages.STATE + joint.node_id
+        config = config.of_joint(joint.name)
         rate = config.rate
         if rate % config.report_rate:
             slow = config.report_rate
@@ -72,7 +73,7 @@ class JointFirmware:
         self._defaults = Settings(config, joint)
 
         self.law = drive_law(joint, config)
-        self._started, self._theta = map(self.law.states.index, ("started", "theta"))
+        self._started = self.law.states.index("started")
         self._law = memory = LawMemory(self.law, compile)
         self._evaluate, self._counts, self._x_next = memory.evaluate, memory.counts_array, memory.x_next
         self.x, self.u, self.y = memory.x, memory.u, memory.y
@@ -279,8 +280,9 @@ class JointFirmware:
     def _rest(self) -> None:
         """Set-points that move nothing: no old one may act when a drive is enabled or its mode changes."""
         self.gain_set = self.settings.gain_set
-        # the motor's position, which the spring's torque does not move
-        self._setpoints.rest(self.x[self._theta], self.gain_set)
+        # the motor's, which the spring's torque does not move, unless the joint's own is fed back
+        of_joint = self.mode in (Mode.JOINT_POSITION, Mode.IMPEDANCE)
+        self._setpoints.rest(self.y[law.Y_POSITION_SI if of_joint else law.Y_RELAXED_SI], self.gain_set)
 
     # --- states -----------------------------------------------------------------------------------------------
 

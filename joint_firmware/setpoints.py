@@ -16,9 +16,25 @@ from joint_firmware.laws import signals as law
 _SLOT = struct.Struct("<" + messages.SLOT_LAYOUT)
 _INPUT = struct.Struct(f"<{law.INPUT_SIZE}d")  # in the order of ``laws.signals``
 _NO_LIMIT = 1e9  # N m: the set-point's own limit where none comes with it
-MODES = frozenset({Mode.NONE, Mode.TORQUE, Mode.POSITION, Mode.DAMPING})
-_NOTHING = (0.0, 0.0, 0.0)
-_WEIGHTS = {Mode.TORQUE: (1.0, 0.0, 0.0), Mode.POSITION: (0.0, 1.0, 0.0), Mode.DAMPING: (0.0, 0.0, 1.0)}
+_MODE_INPUTS = {
+    Mode.TORQUE: law.U_TORQUE_MODE, Mode.POSITION: law.U_POSITION_MODE, Mode.DAMPING: law.U_DAMPING_MODE,
+    Mode.OPEN_LOOP: law.U_OPEN_LOOP_MODE, Mode.MOTOR_POSITION: law.U_MOTOR_POSITION_MODE,
+    Mode.JOINT_POSITION: law.U_JOINT_POSITION_MODE, Mode.IMPEDANCE: law.U_IMPEDANCE_MODE,
+}  # fmt: skip
+MODES = frozenset({Mode.NONE, *_MODE_INPUTS})
+_BEFORE_GAINS = range(law.U_TORQUE_MODE, law.U_KP)  # where the weights of modes lie among the inputs
+_BEHIND_GAINS = range(law.U_KD + 1, law.INPUT_SIZE)
+Weights = tuple[tuple[float, ...], tuple[float, ...]]  # the inputs before the gains, and those behind them
+
+
+def _weights(*inputs: int) -> Weights:
+    """One at ``inputs``, zero elsewhere."""
+    before, behind = (tuple(float(n in inputs) for n in place) for place in (_BEFORE_GAINS, _BEHIND_GAINS))
+    return before, behind
+
+
+_OFF, _STOPPING, _IDLE = _weights(), _weights(law.U_DAMPING_MODE), _weights(law.U_ENABLED)
+_ENABLED = {mode: _weights(number, law.U_ENABLED) for mode, number in _MODE_INPUTS.items()}
 
 
 class Order(NamedTuple):
@@ -64,13 +80,13 @@ class Setpoints:
             and -self._velocity <= velocity <= self._velocity
         )
 
-    def follow(self, order: tuple[int, ...], weights: tuple[float, float, float]) -> None:
+    def follow(self, order: tuple[int, ...], weights: Weights) -> None:
         """Everything anew, from a command frame."""
         _, _, gain_set, torque, position, velocity, limit, _ = order
         _INPUT.pack_into(
             self._bytes, 0,
             torque * messages.NEWTON_METRE, position * messages.RADIAN, velocity * messages.RADIAN_PER_SECOND,
-            limit * messages.TORQUE_LIMIT, *weights, *self.gains(gain_set),
+            limit * messages.TORQUE_LIMIT, *weights[0], *self.gains(gain_set), *weights[1],
         )  # fmt: skip
 
     def rest(self, position: float, gain_set: int) -> None:
@@ -88,10 +104,12 @@ class Setpoints:
         if position is not None:
             self._u[law.U_POSITION] = position
 
-    def weigh(self, weights: tuple[float, float, float]) -> None:
-        """What runs: the weights of torque, position and damping mode."""
+    def weigh(self, weights: Weights) -> None:
+        """What runs."""
         u = self._u
-        u[law.U_TORQUE_MODE], u[law.U_POSITION_MODE], u[law.U_DAMPING_MODE] = weights
+        for place, values in zip((_BEFORE_GAINS, _BEHIND_GAINS), weights, strict=True):
+            for n, value in zip(place, values, strict=True):
+                u[n] = value
 
     def gains(self, gain_set: int) -> tuple[float, float, float]:
         return self._gains.get(gain_set) or self._gains[GainSet.STANCE]
@@ -101,8 +119,8 @@ class Setpoints:
         u[law.U_KP], u[law.U_KI], u[law.U_KD] = self.gains(gain_set)
 
 
-def weights(mode: int, enabled: bool, stopping: bool) -> tuple[float, float, float]:
-    """Of torque, position and damping mode: the drive's state decides first what runs, the commanded mode second."""
+def weights(mode: int, enabled: bool, stopping: bool) -> Weights:
+    """Of the modes: the drive's state decides first what runs, the commanded mode second."""
     if enabled:
-        return _WEIGHTS.get(mode, _NOTHING)
-    return _WEIGHTS[Mode.DAMPING] if stopping else _NOTHING
+        return _ENABLED.get(mode, _IDLE)
+    return _STOPPING if stopping else _OFF

@@ -16,6 +16,7 @@ import casadi as ca
 from bus.drive_faults import DriveFault
 from joint_firmware.config import FirmwareConfig
 from joint_firmware.laws.block import Block, Offsets, Symbols
+from joint_firmware.laws.sensing import has_load_cell
 from joint_firmware.laws.signals import Sensed
 from robots import pins
 from robots.description import Joint
@@ -50,6 +51,7 @@ class EncoderWatch(Block):
     )  # fmt: skip
     parameters = (
         *[encoder.scale for encoder in _ENCODERS], "encoder_jump", "encoder_stuck", "encoder_mismatch",
+        "has_spring",
     )  # fmt: skip
 
     def values(self, joint: Joint, config: FirmwareConfig, offsets: Offsets) -> dict[str, float]:
@@ -61,6 +63,7 @@ class EncoderWatch(Block):
             "encoder_jump": limits.encoder_jump,
             "encoder_stuck": limits.encoder_stuck,
             "encoder_mismatch": limits.encoder_mismatch,
+            "has_spring": float(not has_load_cell(joint)),
         }
 
     def watch(
@@ -88,7 +91,8 @@ class EncoderWatch(Block):
             anchor = getattr(x, f"{encoder.name}_anchor")
             kept = ca.if_else(ca.logic_and(stands, jump <= 1.0), anchor, residual)
             watches.append((encoder.fault, jump * (surprise == culprit), None))
-            watches.append((encoder.fault, ca.fabs(residual - kept) / p.encoder_stuck, "encoder_time"))
+            there = p.has_spring if encoder.fault is DriveFault.SPRING_ENCODER else 1.0
+            watches.append((encoder.fault, there * ca.fabs(residual - kept) / p.encoder_stuck, "encoder_time"))
             following |= {
                 f"{encoder.name}_angle": angle, f"{encoder.name}_step": step, f"{encoder.name}_anchor": kept,
             }  # fmt: skip

@@ -129,12 +129,13 @@ class Monitor(Block):
         supply = counts[pins.SUPPLY_ADC] * pins.VOLT_PER_COUNT
         heat, heat_next = self._heat.watch(counts, current, x, p)
 
-        difference = x.current_difference + p.current_blend * (current - x.demanded - x.current_difference)
+        demanded = x.demand / p.torque_per_ampere
+        difference = x.current_difference + p.current_blend * (current - demanded - x.current_difference)
         driven = p.volt_per_rate * ca.fabs(sensed.motor_velocity) < 0.5 * supply
         # what accelerates the rotor beside current, spring and viscous friction, by its momentum
         momentum = ca.if_else(x.started > 0, x.momentum, p.rotor_inertia * sensed.motor_velocity)
         unexplained = _OBSERVER_RATE * (p.rotor_inertia * sensed.motor_velocity - momentum)
-        explained = p.torque_per_ampere * current - sensed.torque - p.viscous * sensed.motor_velocity
+        explained = p.torque_per_ampere * current - sensed.effort - p.viscous * sensed.motor_velocity
         beyond = ca.fmax(sensed.position - p.position_high, p.position_low - sensed.position)
 
         watches = (
