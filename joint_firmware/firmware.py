@@ -141,7 +141,8 @@ class JointFirmware:
     def levels(self) -> list[float]:
         """What share of its limit each of the drive's faults uses, from number 1 on; 0 where nothing measures it."""
         memory = self._law
-        return [float(v) for v in self.law.levels(self._counts, memory.x_array, memory.u_array, memory.p_array).full()]
+        levels = self.law.levels(self._counts, memory.x_array, memory.u_array, memory.p_array)
+        return [float(level) for level in levels.full().ravel()]
 
     @property
     def counter(self) -> int:

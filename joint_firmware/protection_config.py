@@ -53,7 +53,9 @@ class ProtectionConfig(Config):
     position_margin: _Angle = Field(default=0.2, description="of the joint beyond where its soft stops begin")
 
     # 36 V and 60 V of 48 V: twelve cells of lithium emptied, and the most that counts as extra-low voltage
-    under_voltage: _Share = Field(default=0.75, description="supply, of the actuator's nominal voltage")
+    under_voltage: Annotated[float, Field(ge=0, le=1)] = Field(
+        default=0.75, description="supply, of the actuator's nominal voltage"
+    )
     over_voltage: _Share = Field(default=1.25, description="supply, of the actuator's nominal voltage")
     voltage_time: _Time = Field(default=0.001, description="that it may last")
 
@@ -73,3 +75,15 @@ class ProtectionConfig(Config):
     )
     time_budget: _Share = Field(default=0.9, description="time that an interrupt may take, of its period")
     time_overrun_time: _Time = Field(default=0.001, description="that its overruns may last")
+
+
+_OFF = 1e6
+UNPROTECTED = ProtectionConfig(
+    **{
+        name: f"{_OFF:g} rad" if field.json_schema_extra == {"unit": "rad"} else _OFF
+        for name, field in ProtectionConfig.model_fields.items()
+        if not name.endswith("_time") and name != "under_voltage"
+    },
+    under_voltage=0.0,
+)
+"""Nothing trips: for a law that is looked at by itself."""

@@ -10,10 +10,11 @@ from hypothesis import strategies as st
 from joint_firmware.config import FirmwareConfig, TorqueGains
 from joint_firmware.laws import drive_law
 from joint_firmware.laws import signals as law
+from joint_firmware.protection_config import UNPROTECTED
 from robots import description, pins
 
 HIP = description.load("hume").joint("right_hip")
-CONFIG = FirmwareConfig()
+CONFIG = FirmwareConfig(protection=UNPROTECTED)
 DT = 1.0 / 3000.0
 AMPERE = HIP.actuator.torque_per_ampere
 LAW = drive_law(HIP, CONFIG)
