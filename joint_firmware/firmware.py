@@ -170,14 +170,14 @@ class JointFirmware:
             else:
                 self._sent = sent
                 self._communication.receive(frame, tick, sent)
+        if self._drive is not _ENABLED or tick - self._command_tick >= self._watchdog_ticks:
+            self._supervise(tick, sent)
         y, out = self.y, self._out
         self._counts[:] = self._pins
         self._evaluate()
         self.x[:] = self._x_next
         if y[_Y_TRIPS]:
             self._protect(int(y[_Y_TRIPS]), sent)
-        if self._drive is not _ENABLED or tick - self._command_tick >= self._watchdog_ticks:
-            self._supervise(tick, sent)
         if self._drive in POWERED:
             out[_DEMAND_PIN], out[_ENABLE_PIN] = int(y[_Y_DEMAND]), 1
         else:

@@ -12,8 +12,9 @@ from pydantic import Field
 
 from robots.quantities import Config, Radians, Seconds
 
-_Share = Annotated[float, Field(ge=1e-3, le=1e6)]  # a large one switches a monitor off
-_Angle = Annotated[Radians, Field(ge=1e-4, le=1e6)]
+_OFF = 1e6
+_Share = Annotated[float, Field(ge=1e-3, le=_OFF)]  # a large one switches a monitor off
+_Angle = Annotated[Radians, Field(ge=1e-4, le=_OFF)]
 _Time = Annotated[Seconds, Field(ge=0, le=10)]
 
 
@@ -33,7 +34,7 @@ class ProtectionConfig(Config):
     over_current: _Share = Field(default=1.25, description="measured current, of the actuator's limit")
     over_current_time: _Time = Field(default=0.001, description="that it may last")
     current_error: _Share = Field(
-        default=0.3,
+        default=0.2,
         description="measured less demanded current, of the limit, while half of the supply is left to drive it",
     )
     current_error_time: _Time = Field(default=0.02, description="that it may last")
@@ -77,13 +78,9 @@ class ProtectionConfig(Config):
     time_overrun_time: _Time = Field(default=0.001, description="that its overruns may last")
 
 
-_OFF = 1e6
-UNPROTECTED = ProtectionConfig(
-    **{
-        name: f"{_OFF:g} rad" if field.json_schema_extra == {"unit": "rad"} else _OFF
-        for name, field in ProtectionConfig.model_fields.items()
-        if not name.endswith("_time") and name != "under_voltage"
-    },
-    under_voltage=0.0,
-)
-"""Nothing trips: for a law that is looked at by itself."""
+# Nothing trips: for a law that is looked at by itself
+UNPROTECTED = ProtectionConfig.model_validate({
+    name: f"{_OFF:g} rad" if field.json_schema_extra == {"unit": "rad"} else _OFF
+    for name, field in ProtectionConfig.model_fields.items()
+    if not name.endswith("_time") and name != "under_voltage"
+} | {"under_voltage": 0.0})  # fmt: skip

@@ -78,7 +78,7 @@ class JointFaults(Config):
 
     All can also be injected while a run goes on: their descriptions, units, bounds and defaults are what
     ``hil inject --list`` shows. A sensor is ``stuck`` at its last reading, has made a ``jump`` (encoders 0.1 rad,
-    current 1.5 times its limit), ``slip`` loses every tenth count, ``noisy`` is a σ of 5 mrad or of half of the limit,
+    current 2.5 times its limit), ``slip`` loses every other count, ``noisy`` is a σ of 5 mrad or of half of the limit,
     ``dead`` reads 0. All but ``command`` act in the plant.
     """
 

@@ -17,8 +17,8 @@ from robots import pins
 from robots.description import Joint, Robot
 
 JUMP, NOISE = 0.1, 0.005  # rad: of a jump, and the deviation of the noise of an encoder
-CURRENT_JUMP, CURRENT_NOISE = 1.5, 0.5  # the same of a current sensor, of its drive's current limit
-SLIP = 0.1  # share of its counts that a slipping encoder loses
+CURRENT_JUMP, CURRENT_NOISE = 2.5, 0.5  # the same of a current sensor, of its drive's current limit
+SLIP = 0.5  # share of its counts that a slipping encoder loses
 
 _SENSORS = {
     "encoder": pins.MOTOR_ENCODER,
