@@ -11,12 +11,16 @@ import numpy as np
 
 from plant.actuators.bank import ActuatorBank
 from plant.config import SensorConfig
+from plant.joint_faults import FaultyJoints
 from plant.sensors import JointSensors
 from robots import pins
-from robots.description import Robot
+from robots.description import Joint, Robot
 from robots.quantities import Config, Kilograms, KilogramSquareMetres, Metres, Radians, TorquePerRate
 
-_STIFFEST = 0.25  # (rad)², of the spring's oscillation in a step: semi-implicit Euler is stable up to 4
+# of a load on the actuator's spring, in a step; semi-implicit Euler is stable while the first plus twice the second is
+# below 4
+_STIFFEST = 0.25  # rad², of its oscillation
+_MOST_DAMPED = 0.5  # share of its velocity that the damper takes
 
 
 class Locked(Config):
@@ -56,6 +60,14 @@ def _identity(function: ca.Function) -> ca.Function:
     return function
 
 
+def _lightest(joint: Joint, dt: float) -> float:
+    """Inertia, kg m², that a step of ``dt`` can still follow on the actuator's spring."""
+    a, ratio = joint.actuator, 1.0
+    if a.linkage is not None:
+        ratio = max(abs(float(a.linkage.ratio(q))) for q in np.linspace(*joint.limits, 50))
+    return ratio**2 * max(a.stiffness * dt**2 / _STIFFEST, a.damping * dt / _MOST_DAMPED)
+
+
 class Bench:
     """A joint's actuator (``plant.actuators``) and sensors (``plant.sensors``) with ``load`` on its output,
 
@@ -84,7 +96,7 @@ class Bench:
         self._dt = 1.0 / rate
         self._locked = isinstance(load, Locked)
         if not isinstance(load, Locked):
-            lightest = joint.actuator.stiffness * self._dt**2 / _STIFFEST
+            lightest = _lightest(joint, self._dt)
             if load.inertia < lightest:
                 raise ValueError(
                     f"inertia of {load.inertia:.3g} kg m²: expected at least {lightest:.2g} kg m², for the spring of "
@@ -95,6 +107,7 @@ class Bench:
         self._q, self._dq = np.array([load.at]), np.zeros(1)
         self.actuator = ActuatorBank(alone, self._dt, friction_scale, compile, self._q, self._dq)
         self._sensors = JointSensors(alone, sensors, streams, compile, self.actuator)
+        self.faults = FaultyJoints(alone, self.actuator, streams)
         self._ampere_per_count = joint.actuator.ampere_per_count
         self._inputs = np.zeros((1, pins.N_INPUTS), np.int32)
         self._outputs = np.zeros((1, pins.N_OUTPUTS), np.int32)
@@ -118,6 +131,8 @@ class Bench:
     def sample(self) -> None:
         """Write the drive's input pins from the present state."""
         self._sensors.write(self._inputs, ())
+        if self.faults.on_pins:
+            self.faults.apply(self._inputs)
 
     def latch(self) -> None:
         """Let the drive's output pins take effect from now on."""
@@ -139,6 +154,7 @@ class Bench:
             "load": (self._q.copy(), self._dq.copy()),
             "actuator": self.actuator.snapshot(),
             "sensors": self._sensors.snapshot(),
+            "faults": self.faults.snapshot(),
             "pins": (self._inputs.copy(), self._outputs.copy()),
         }
 
@@ -146,4 +162,5 @@ class Bench:
         self._q[:], self._dq[:] = state["load"]
         self.actuator.restore(state["actuator"])
         self._sensors.restore(state["sensors"])
+        self.faults.restore(state["faults"])
         self._inputs[:], self._outputs[:] = state["pins"]

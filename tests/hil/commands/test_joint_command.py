@@ -227,3 +227,16 @@ def test_a_bus_that_is_not_there_is_named(capsys: pytest.CaptureFixture[str]) ->
     err = capsys.readouterr().err
     assert err.startswith("hil: --can hil:no-such-bus: no running emulation serves a bus 'no-such-bus'")
     assert err.count("\n") == 1
+
+
+def test_an_actuator_of_one_s_own_runs_from_the_path_of_its_description(tmp_path: Path) -> None:
+    """The worked example of docs/actuators.md."""
+    example = Path(__file__).parents[3] / "docs" / "examples" / "geared_motor.toml"
+    result = hil(
+        "joint", "--robot", str(example), "--joint", "wrist", "--can", "virtual:own", "--duration", "0.1s", "--json",
+        state=tmp_path,
+    )  # fmt: skip
+    assert result.returncode == 0, result.stderr
+    report = json.loads(result.stdout)
+    assert report["joint"] == "wrist" and report["state"] == "SWITCH_ON_DISABLED"
+    assert report["sent"] > 0
