@@ -214,6 +214,11 @@ class LoadedLaw:
         self.library.joint_law_step(self.address, ctypes.c_void_p(counts.ctypes.data))
 
 
+    def steps(self, counts: np.ndarray, number: int) -> None:
+        """``number`` steps on the same ``counts``."""
+        self.library.bench_steps(self.address, ctypes.c_void_p(counts.ctypes.data), 1, number)
+
+
 @contextmanager
 def exported(law: ExportedLaw, precision: str = "double") -> Iterator[LoadedLaw]:
     """``law`` of ROBOT's JOINT, exported, compiled and loaded. Raises OSError or subprocess.SubprocessError."""

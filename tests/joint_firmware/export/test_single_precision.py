@@ -55,6 +55,7 @@ def test_one_step_keeps_to_its_bound(knee: LawRecording) -> None:
     # and the bound says something: these are what docs/export.md states
     worst = y.error.max(axis=0)
     assert worst[[law.Y_POSITION, law.Y_TORQUE, law.Y_MOTOR_VELOCITY, law.Y_DEMAND]].max() < 1.001
+    assert worst[law.Y_TRIPS] == 0  # nothing is so close to its limit that the precisions could disagree
     assert worst[law.Y_POSITION_SI] < 3e-7 and worst[law.Y_TORQUE_SI] < 1e-5
     a_count = np.abs(LAW.values[PARAMETERS.index("rad_per_count")])
     assert x_next.error[:, VELOCITIES].max() < 4e-4 < 0.01 * a_count * CONFIG.rate  # what a count within a step makes
@@ -99,6 +100,29 @@ def test_it_is_the_same_on_a_processor_that_keeps_more_bits(knee: LawRecording, 
         for n, flags in enumerate([("-O2",), ("-O2", "-m32", "-mno-sse", "-mfpmath=387"), ("-O0", "-m32")])
     ]
     assert same_bits(outputs[0], outputs[1]) and same_bits(outputs[0], outputs[2])
+
+
+def test_the_thermal_model_stands_still_where_a_step_is_less_than_half_a_bit() -> None:
+    """2000 s at 5 A: what docs/export.md says of slow sums.
+
+    A rounding of half a bit, e, at every step acts like a warming of e / dt. In the end the housing's cooling holds it,
+    at e / (dt housing_share), and the winding's, which the housing gets with the ratio of their rates.
+    """
+    need("cc", "gcc libc6-dev")
+    values = dict(zip(PARAMETERS, LAW.values, strict=True))
+    counts = np.zeros(pins.N_INPUTS, np.int32)
+    counts[pins.TEMPERATURE_ADC], counts[pins.CURRENT_ADC] = 250, 500
+    winding = {}
+    for precision in ("double", "single"):
+        with exported(LAW, precision) as drive:
+            drive.steps(counts, 2000 * 3000)
+            winding[precision] = float(drive.x[STATES.index("winding_temperature")])
+    half_a_bit = 2.0**-24 * 32  # of numbers from 32 to 64
+    both = 1 + values["housing_rate"] / values["winding_rate"]
+    bound = both * half_a_bit / (values["dt"] * values["housing_share"])
+    assert bound == pytest.approx(10.0, abs=0.1)
+    assert winding == {"double": pytest.approx(41.5, abs=0.05), "single": pytest.approx(37.4, abs=0.05)}
+    assert abs(winding["single"] - winding["double"]) < bound
 
 
 # --- far from what a run has ------------------------------------------------------------------------------------
