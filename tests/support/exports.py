@@ -29,6 +29,7 @@ def need(command: str, package: str) -> None:
 
 def need_m32(directory: Path) -> None:
     """Without a C library for 32-bit x86 the test says so and is counted as skipped."""
+    need("cc", "gcc libc6-dev")
     source = directory / "m32.c"
     source.write_text("#include <math.h>\nint main(int n, char **v) { (void)v; return floor(n + 0.5) != 1; }\n")
     built = subprocess.run(["cc", "-m32", "-o", "m32", source.name, "-lm"], cwd=directory, capture_output=True)
