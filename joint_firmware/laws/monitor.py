@@ -60,7 +60,7 @@ class Monitor(Block):
         self.states = (*self._encoders.states, *self._heat.states, *own, *self._timers)
         self.parameters = (
             *self._encoders.parameters, *self._heat.parameters, "dt", "ampere_per_count", "torque_per_ampere",
-            "stiffness", "rotor_inertia", "viscous", "current_blend", "encoder_time", "most_current",
+            "stiffness", "rotor_inertia", "viscous", "current_blend", "observer_rate", "encoder_time", "most_current",
             "over_current_time", "current_error", "current_error_time", "volt_per_rate", "most_torque",
             "spring_error", "spring_time", "most_speed", "over_speed_time", "position_low", "position_high",
             "position_margin", "nominal_supply", "supply_fall", "supply_rise", "voltage_time", "temperature_time",
@@ -83,6 +83,7 @@ class Monitor(Block):
             "rotor_inertia": actuator.rotor_inertia,
             "viscous": actuator.viscous,
             "current_blend": 1.0 - math.exp(-1.0 / (_CURRENT_BLEND_S * config.rate)),
+            "observer_rate": config.rate * (1.0 - math.exp(-_OBSERVER_RATE / config.rate)),
             "encoder_time": limits.encoder_time,
             "most_current": limits.over_current * actuator.current_limit,
             "over_current_time": limits.over_current_time,
@@ -134,7 +135,7 @@ class Monitor(Block):
         driven = p.volt_per_rate * ca.fabs(sensed.motor_velocity) < 0.5 * supply
         # what accelerates the rotor beside current, spring and viscous friction, by its momentum
         momentum = ca.if_else(x.started > 0, x.momentum, p.rotor_inertia * sensed.motor_velocity)
-        unexplained = _OBSERVER_RATE * (p.rotor_inertia * sensed.motor_velocity - momentum)
+        unexplained = p.observer_rate * (p.rotor_inertia * sensed.motor_velocity - momentum)
         explained = p.torque_per_ampere * current - sensed.effort - p.viscous * sensed.motor_velocity
         beyond = ca.fmax(sensed.position - p.position_high, p.position_low - sensed.position)
 
