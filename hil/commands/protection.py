@@ -23,13 +23,17 @@ def add_parser(commands: Any) -> None:
     parser.add_argument("--measure", action="store_true", help="try each; exit status 1 when one is not as here")
     parser.add_argument("--joint", default="left_knee", metavar="NAME", help="whose drive is tried (left_knee)")
     parser.add_argument("--seed", type=natural, default=1, metavar="N", help="of the trials (1)")
+    parser.add_argument("--markdown", action="store_true", help="print the table as docs/protection.md has it")
     parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
     parser.set_defaults(command=_protection)
 
 
 def _protection(options: argparse.Namespace) -> int:
-    from hil.analysis.fault_cases import CASES, rows
+    from hil.analysis.fault_cases import CASES, markdown, rows
 
+    if options.markdown:
+        print(markdown(), end="")
+        return EXIT_STABLE
     trials = _measure(options) if options.measure else []
     table = rows()
     if options.measure:
