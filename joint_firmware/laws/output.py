@@ -23,6 +23,7 @@ from robots.description import Joint
 
 _FADE_S = 0.1  # time constant
 _STOP_S = 0.01
+_MOST_CARRIED = 4.0  # times full effort
 
 
 class Demand(NamedTuple):
@@ -64,8 +65,9 @@ class Output(Block):
         now = ca.if_else(wanted.closed > 0, effort, wanted.effort)
         as_before = ca.if_else(x.closed > 0, self._loop.effort(seen, before, x, p), wanted.effort)
         full = p.current_limit * p.torque_per_ampere
-        # no more than the motor can give: a sensor's jump in the tick of a change must not be carried on
-        carry = clip(x.carry + ca.if_else(x.active > 0, as_before - now, 0), -full, full)
+        # a change of gains can mean several times what the motor gives; a sensor's jump in its tick is not carried on
+        most = _MOST_CARRIED * full
+        carry = clip(x.carry + ca.if_else(x.active > 0, as_before - now, 0), -most, most)
 
         brake = -p.quick_stop_damping * sensed.motor_velocity
         aim = wanted.active * (now + carry) + u[s.U_DAMPING_MODE] * brake

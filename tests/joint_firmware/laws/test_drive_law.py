@@ -137,7 +137,7 @@ class Reference:
         error = reference - tau
         held = [reference + p * error - d * dtheta + (integral if i > 0 else 0.0) for p, i, d in (old, (kp, ki, kd))]
         full = HIP.actuator.current_limit * AMPERE
-        carry = max(-full, min(full, carry + held[0] - held[1]))
+        carry = max(-4 * full, min(4 * full, carry + held[0] - held[1]))
         motor = held[1] + carry
         saturated = abs(motor) > HIP.actuator.current_limit * AMPERE
         limited = (
