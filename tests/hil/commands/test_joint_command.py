@@ -189,7 +189,8 @@ MISTAKES: dict[tuple[str, ...], str] = {
     "4 (left_abduction), 5 (left_hip), 6 (left_knee)",
     ("--node", "0"): "argument --node: '0': expected 1 to 127",
     ("--joint", "left_kne"): "--joint left_kne: hume has none; did you mean 'left_knee'?",
-    ("--node", "3", "--robot", "hum"): "robot = 'hum': no robot 'hum'; there is: hume",
+    ("--node", "3", "--robot", "hum"):
+        "robot = 'hum': no robot 'hum'; there is: hume, valve, vlca, or the path of a TOML file",
     ("--node", "3", "--load", "lockd"): "--load lockd: no load 'lockd'; did you mean 'locked'?",
     ("--node", "3", "--load", "inertia=3"): "--load inertia=3: inertia = '3': '3' has no unit: "
     "write one of kg m², kgm², kg m2, kgm2",
