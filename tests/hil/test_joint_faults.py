@@ -4,12 +4,14 @@ import json
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from bus.drive_faults import DriveFault
 from hil import cli
 from hil.analysis import fault_cases
 from hil.analysis.fault_cases import CASES, FaultCase
+from hil.analysis.fault_margins import margins
 from hil.analysis.fault_trial import TrialBench, trial_bench
 from hil.errors import UserError
 from hil.injection import injectable
@@ -167,6 +169,17 @@ def test_a_restored_run_goes_on_with_its_faults(bench: TrialBench) -> None:
     bench.restore(state)
     bench.go_on(0.01)
     assert bench.truth() == first and bench.drive.fault is DriveFault.COMMAND
+
+
+def test_an_ordinary_run_stays_away_from_every_limit() -> None:
+    """Most of all sensors that are compared with each other, on which nothing but a fault acts."""
+    record, peaks = margins(load("stand", ["duration=2.5s", "world.hoist.hold=0.5s", "controller.stand_at=0.4s"]), 2)
+    assert record["verdict"] == "stable"
+    largest = np.max([*peaks.values()], axis=0)
+    compared = [DriveFault.MOTOR_ENCODER, DriveFault.SPRING_ENCODER, DriveFault.JOINT_ENCODER,
+                DriveFault.ENCODER_MISMATCH]  # fmt: skip
+    assert 0 < max(largest[fault - 1] for fault in compared) < 0.2
+    assert 0.1 < max(largest) < 0.9
 
 
 # --- the documentation ----------------------------------------------------------------------------------------
