@@ -45,9 +45,7 @@ def _protection(options: argparse.Namespace) -> int:
     trials = _measure(options) if options.measure else []
     table = rows()
     if options.measure:
-        table = [(*table[0], "seen")] + [
-            (*row, _seen(trial)) for row, trial in zip(table[1:], trials, strict=True)
-        ]
+        table = [(*table[0], "seen")] + [(*row, _seen(trial)) for row, trial in zip(table[1:], trials, strict=True)]
     if options.json:
         keys = [name.replace(" ", "_") for name in table[0]]
         cases = [
