@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from pydantic import Discriminator, Field, InstanceOf, Tag
+from pydantic import Discriminator, Field, InstanceOf, Tag, model_validator
 
 from robots.linkage import Linkage
 from robots.pins import AMPERE_PER_COUNT
@@ -107,7 +107,7 @@ class Actuator(Config):
 
 
 class SeriesElastic(Actuator):
-    """A rotary series elastic actuator, seen from the joint except gear_ratio, torque_constant, current_limit, motor."""
+    """A rotary series elastic actuator, seen from the joint but for gear ratio, torque constant, current limit, motor."""
 
     kind: Literal["sea"] = "sea"
     stiffness: Positive  # N m/rad
@@ -159,13 +159,29 @@ MATERIALS: Mapping[str, Material] = {
 
 
 class Elastomer(Config):
-    """The viscoelastic element of one actuator: as built, it may differ from the material's test piece."""
+    """The viscoelastic element of one actuator. What is not given is that of the material's test piece."""
 
     material: str
     stiffness: Positive  # N/m, at once
     damping: NonNegative  # N s/m
     creep: Annotated[float, Field(ge=0, lt=1)]  # share of the force that relaxes
-    creep_time_constant: Positive  # s, of that relaxation
+    # s, of that relaxation. ASSUMED, as Table C.2 gives shares only: of the order in which rubbers in compression lose
+    # most of what they lose, tens of seconds
+    creep_time_constant: Positive = 10.0
+
+    @model_validator(mode="before")
+    @classmethod
+    def _from_table(cls, data: Any) -> Any:
+        if not isinstance(data, Mapping) or "material" not in data:
+            return data
+        name = data["material"]
+        if name not in MATERIALS:
+            raise ValueError(f"no material {name!r}; there is: {', '.join(MATERIALS)}")
+        material = MATERIALS[name]
+        if material.creep is None and "creep" not in data:
+            raise ValueError(f"creep: Kim 2018 Table C.2 has none for {name}: give one, for example 0.15")
+        known = {"stiffness": material.stiffness, "damping": material.damping, "creep": material.creep}
+        return {**known, **data}
 
 
 class Viscoelastic(Actuator):

@@ -2,3 +2,4 @@
 
 from plant.actuators import hydraulic as hydraulic  # a model registers what it describes when it is imported
 from plant.actuators import sea as sea
+from plant.actuators import vlca as vlca
