@@ -14,6 +14,7 @@ from robots.quantities import (
     Hertz,
     NewtonMetres,
     Probability,
+    Radians,
     Seconds,
     SignedAmperes,
     TorquePerRadian,
@@ -55,11 +56,12 @@ class GainChange(Config):
         return gains.model_copy(update=self.model_dump(exclude_none=True))
 
 
-class JointGains(Config):
-    """Gains of one joint where they are not those of all (Kim 2018 Tables 2.1, 7.1)."""
+class JointConfig(Config):
+    """What one joint has of its own: gains where they are not those of all (Kim 2018 Tables 2.1, 7.1), calibration."""
 
     stance: GainChange = GainChange()
     swing: GainChange = GainChange()
+    encoder_offset: Radians = 0.0  # what its absolute encoder reads at 0 rad
 
 
 class FirmwareConfig(Config):
@@ -78,7 +80,7 @@ class FirmwareConfig(Config):
     velocity_window: Seconds = 0.002  # M, M/T: gate time
     stance: TorqueGains = TorqueGains(kp=3.0, ki=0.0, kd="10 N m s/rad")  # type: ignore[arg-type]
     swing: TorqueGains = TorqueGains(kp=4.0, ki=20.0, kd="10 N m s/rad")  # type: ignore[arg-type]
-    joints: dict[str, JointGains] = {}
+    joints: dict[str, JointConfig] = {}
     torque_rate_cutoff: Hertz = 100.0  # PD_f, valve: of the sensed torque's derivative; that of Valkyrie's torque loops
     observer_cutoff: Hertz = 15.0  # PD_m+DOB: Kim 2018 §5.3.2
     velocity_integral: Gain = 20.0  # cascade, 1/s: integral over proportional gain of the inner velocity loop
@@ -96,7 +98,7 @@ class FirmwareConfig(Config):
 
     def of_joint(self, name: str) -> FirmwareConfig:
         """That of one joint's drive."""
-        own = self.joints.get(name, JointGains())
+        own = self.joints.get(name, JointConfig())
         return self.model_copy(
             update={"joints": {}, "stance": own.stance.of(self.stance), "swing": own.swing.of(self.swing)}
         )
@@ -109,4 +111,5 @@ class Settings(NamedTuple):
     joint: Joint
     motor_offset: float = 0.0  # rad
     spring_offset: float = 0.0  # rad
+    joint_offset: float = 0.0  # rad
     gain_set: int = GainSet.STANCE  # while no command frame names one
