@@ -48,12 +48,12 @@ class World:
     ) -> None:
         if config.variant is not None:
             robot = description.load(robot.source, config.variant)
-        if robot.imu is None:
-            raise ValueError(f"{robot.name} has no IMU: it is a test stand, not a robot that stands by itself")
         self.robot = robot
         self._config = config
         self._pushes = tuple((push, np.array(push.force)) for push in pushes)
         start = stances.initial(robot, stance)
+        if robot.imu is None:
+            raise stances.StanceError(f"standing needs an IMU in the torso; {robot.name} has none")
         self.model = build(robot, start, terrain, config.planarizer, config.rate)
         self.data = mujoco.MjData(self.model)
         n = len(robot.joints)

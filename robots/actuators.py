@@ -19,6 +19,7 @@ Positive = Annotated[float, Field(gt=0)]
 NonNegative = Annotated[float, Field(ge=0)]
 
 AMBIENT = 25.0  # °C, at which data sheets give resistances
+COPPER = 0.00393  # 1/K, by which the resistance of copper grows over that at 25 °C
 
 # Current that liquid cooling lets flow for as long as one likes, over that of air (Kim 2018 §5.3.1). Heat is resistance
 # times current squared: the way from the winding to the surroundings has its square less thermal resistance.
@@ -107,7 +108,7 @@ class Actuator(Config):
 
 
 class SeriesElastic(Actuator):
-    """A rotary series elastic actuator, seen from the joint but for gear ratio, torque constant, current limit, motor."""
+    """A rotary series elastic actuator, seen from the joint; gear_ratio, torque_constant and motor are the motor's."""
 
     kind: Literal["sea"] = "sea"
     stiffness: Positive  # N m/rad

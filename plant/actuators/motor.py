@@ -19,9 +19,7 @@ from typing import NamedTuple
 import casadi as ca
 
 from plant.actuators.model import Inputs, Symbol
-from robots.actuators import AMBIENT, Actuator
-
-COPPER = 0.00393  # 1/K, rise of the resistance from its value at 25 °C (data sheets' convention)
+from robots.actuators import AMBIENT, COPPER, Actuator
 
 
 class Flow(NamedTuple):

@@ -214,7 +214,8 @@ MISTAKES = {
     "terrain.panel_angle=2rad": "terrain.panel_angle = '2rad': expected less than 1.4 rad",
     "limits.com_error=-1mm": "limits.com_error = '-1mm': expected at least 0 m",
     "duration=0s": "duration = 0 s: expected more than 0 s",
-    "robot=atlas": "robot = 'atlas': no robot 'atlas'; there is: hume",
+    "robot=atlas": "robot = 'atlas': no robot 'atlas'; there is: hume, valve, vlca, or the path of a "
+    "TOML file",
     "world.variant=heavy": "world.variant = 'heavy': hume has no variant 'heavy'; there is: srlib",
     "controller.variant=3": "controller.variant = 3: expected a text in quotes",
     'name="a/b"': "name = 'a/b': expected 1 to 64 characters, none of / * $ ? #",
