@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal, NamedTuple, get_args
 
-from pydantic import BeforeValidator
+from pydantic import BeforeValidator, Field
 
 from bus.messages import GainSet
 from robots.description import Joint
@@ -27,7 +27,7 @@ LAW_NAMES: tuple[str, ...] = get_args(_Law)
 
 
 def canonical_law(name: Any) -> Any:
-    """``name`` as ``LAW_NAMES`` has it, whatever its case, ``_`` and spaces ("pdm+dob"); itself if it is none of them."""
+    """``name`` as ``LAW_NAMES`` has it, whatever its case, ``_`` and spaces ("pdm+dob"); itself if it has none such."""
     if not isinstance(name, str):
         return name
     bare = {law.replace("_", "").lower(): law for law in LAW_NAMES}
@@ -80,8 +80,8 @@ class FirmwareConfig(Config):
     velocity_window: Seconds = 0.002  # M, M/T: gate time
     stance: TorqueGains = TorqueGains(kp=3.0, ki=0.0, kd="10 N m s/rad")  # type: ignore[arg-type]
     swing: TorqueGains = TorqueGains(kp=4.0, ki=20.0, kd="10 N m s/rad")  # type: ignore[arg-type]
-    joints: dict[str, JointConfig] = {}
-    torque_rate_cutoff: Hertz = 100.0  # PD_f, valve: of the sensed torque's derivative; that of Valkyrie's torque loops
+    joints: dict[str, JointConfig] = Field(default_factory=dict)
+    torque_rate_cutoff: Hertz = 60.0  # PD_f, valve: of the sensed torque's derivative; not printed in Kim 2018
     observer_cutoff: Hertz = 15.0  # PD_m+DOB: Kim 2018 §5.3.2
     velocity_integral: Gain = 20.0  # cascade, 1/s: integral over proportional gain of the inner velocity loop
     velocity_compensation: Probability = 0.0  # valve: share of the piston's flow that is fed forward

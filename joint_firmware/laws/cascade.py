@@ -66,9 +66,9 @@ class Cascade(TorqueLoop):
             place = f"{joint.name}, firmware.{which}"
             if not stable(joint, gains, config.velocity_integral):
                 raise ValueError(
-                    f"{place}: the cascade with kp = {gains.kp:g}, ki = {gains.ki:g} 1/s, kd = {gains.kd:g} N m s/rad and "
-                    f"firmware.velocity_integral = {config.velocity_integral:g} Hz is unstable with the joint held: "
-                    "raise kd, or lower ki or velocity_integral"
+                    f"{place}: the cascade with kp = {gains.kp:g}, ki = {gains.ki:g} 1/s, kd = {gains.kd:g} "
+                    f"N m s/rad and velocity_integral = {config.velocity_integral:g} 1/s is unstable with the joint "
+                    "held: raise kd, or lower ki or velocity_integral"
                 )
             found += [f"{place}: {reason}" for reason in not_passive(joint, gains, config.velocity_integral)]
         return found

@@ -4,13 +4,13 @@ What PD_m should make of its reference r is known from the actuator's nominal pa
 
     tau = P_c r,      P_c⁻¹ = (J s² + (b + kd) s + k (1 + kp)) / (k (1 + kp))                         (5.18)
 
-The observer low-passes what r must have been, Q P_c⁻¹ tau, less what it was, Q r: the difference is a disturbance, which
-is taken off the reference,
+The observer low-passes what r must have been, Q P_c⁻¹ tau, less what it was, Q r: the difference is a disturbance,
+which is taken off the reference,
 
     r = tau_d − (Q P_c⁻¹ tau − Q r),      effort = r + kp (r − tau) − kd dphi                         (5.19)
 
-Q is a second-order Butterworth low-pass, so that Q P_c⁻¹ is proper: it is Q tau, s Q tau and s² Q tau in proportion, all
-three from one discrete filter. The r that is remembered is the one that the applied effort stands for.
+Q is a second-order Butterworth low-pass, so that Q P_c⁻¹ is proper: it is Q tau, s Q tau and s² Q tau in proportion,
+all three from one discrete filter. The r that is remembered is the one that the applied effort stands for.
 """
 
 from __future__ import annotations

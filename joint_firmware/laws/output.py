@@ -1,9 +1,9 @@
 """From the torque loop to the power stage: changes without a bump, saturation, the demand.
 
 Two kinds of change would let the motor jump. Where gains change, or the torque loop closes or opens, what the change
-would move the motor by is carried on: it fades, unless the loop integrates, which then holds it as it would its own. Where
-a mode begins or ceases to control, or brakes, the demand runs from where it was at ``torque_rate``, but no slower than
-from full effort to none in 10 ms. A drive whose operation is not enabled, in a quick stop say, does at once what it does.
+would move the motor by is carried on: it fades, unless the loop integrates, which then holds it as it would its own.
+Where a mode begins or ceases to control, or brakes, the demand runs from where it was at ``torque_rate``, but no slower
+than from full effort to none in 10 ms. A drive whose operation is not enabled, as in a quick stop, takes no such time.
 """
 
 from __future__ import annotations

@@ -23,8 +23,8 @@ from robots.description import Joint
 class TorqueRate(TorqueLoop):
     """Base of the loops that differentiate the sensed torque."""
 
-    states = ("torque_low", "torque_rate")
-    parameters = ("torque_rate_cutoff", "torque_rate_half_step", "stiffness")
+    states: tuple[str, ...] = ("torque_low", "torque_rate")
+    parameters: tuple[str, ...] = ("torque_rate_cutoff", "torque_rate_half_step", "stiffness")
 
     def values(self, joint: Joint, config: FirmwareConfig, offsets: Offsets) -> dict[str, float]:
         cutoff = 2.0 * math.pi * config.torque_rate_cutoff

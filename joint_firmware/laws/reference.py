@@ -1,4 +1,4 @@
-"""What the drive is to do with its torque: the commanded one, or that of a position loop, within limits of size and rate.
+"""What the drive is to do: commanded torque, or that of a position loop, within limits of size and rate.
 
 The modes, with tau, q_d, dq_d as commanded, phi_d = f(q_d):
 

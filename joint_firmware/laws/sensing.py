@@ -1,8 +1,8 @@
 """From counts to SI: positions and velocities of motor and joint, torque.
 
-In equivalent rotary coordinates (``robots.actuators``) the compliant element sits between motor and output: the effort is
-its stiffness times its deflection, the output is where the motor is less the deflection. A linkage maps the joint to the
-output, phi = f(q) (Kim 2018 (5.22)); without one they are the same.
+In equivalent rotary coordinates (``robots.actuators``) the compliant element sits between motor and output: the effort
+is its stiffness times its deflection, the output is where the motor is less the deflection. A linkage maps the joint to
+the output, phi = f(q) (Kim 2018 (5.22)); without one they are the same.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ class Direct:
 
 
 class ThroughLinkage:
-    """A slider-crank. A wrong encoder may say what no linkage can do: beyond its range, f goes on as a straight line."""
+    """A slider-crank. A wrong encoder may say what no linkage can do: beyond its range, f is a straight line."""
 
     def __init__(self, linkage: Linkage) -> None:
         self._linkage = linkage

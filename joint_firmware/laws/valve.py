@@ -2,9 +2,9 @@
 
     u = PID(F, F_des) + k_vc dx_piston + b
 
-in equivalent rotary coordinates: F r0 is the effort, dx / r0 the piston's velocity. The derivative is that of the sensed
-force alone, filtered as in PD_f. A valve gives flow: k_vc opens it as far as the moving piston swallows, at the pressure
-drop of an unloaded piston, times the configured share. A constant gain turns effort into the valve's current.
+in equivalent rotary coordinates: F r0 is the effort, dx / r0 the piston's velocity. The derivative is that of the
+sensed force alone, filtered as in PD_f. A valve gives flow: k_vc opens it as far as the moving piston swallows, at the
+pressure drop of an unloaded piston, times the configured share. A constant gain turns effort into the valve's current.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ from robots.description import Joint
 
 class Valve(TorqueRate):
     name = "valve"
-    states = ("integral", *TorqueRate.states)
-    parameters = ("dt", *TorqueRate.parameters, "velocity_compensation", "valve_bias")
+    states: tuple[str, ...] = ("integral", *TorqueRate.states)
+    parameters: tuple[str, ...] = ("dt", *TorqueRate.parameters, "velocity_compensation", "valve_bias")
 
     def values(self, joint: Joint, config: FirmwareConfig, offsets: Offsets) -> dict[str, float]:
         return {

@@ -67,7 +67,7 @@ class FilteredDifference(VelocityEstimator):
 class Gated(VelocityEstimator):
     """M: the gate opens where the last one closed."""
 
-    own = ("start", "ticks")
+    own: tuple[str, ...] = ("start", "ticks")
     parameters = ("dt", "velocity_gate")
 
     def settings(self, config: FirmwareConfig) -> dict[str, float]:

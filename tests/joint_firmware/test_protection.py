@@ -236,7 +236,10 @@ def test_damping_mode_brakes_by_motor_velocity_and_ignores_the_torque(bench):
     assert drive.motor_torque == pytest.approx(60.0, rel=1e-2)
 
 
-@given(st.integers(-128, 127).filter(lambda m: m not in {value for name, value in vars(Mode).items() if name.isupper()}))
+MODES = {value for name, value in vars(Mode).items() if name.isupper()}
+
+
+@given(st.integers(-128, 127).filter(lambda mode: mode not in MODES))
 def test_an_unknown_mode_asks_for_no_torque(bench, mode):
     drive = bench().enable()
     for _ in range(4):
