@@ -1,4 +1,4 @@
-"""Open loops of the torque laws in continuous time, after Kim 2018 (5.12)–(5.21).
+"""The torque laws in continuous time and their open loops, after Kim 2018 (5.12)–(5.21).
 
 A loop is cut where the sensors' data return, which is where the delay of a digital controller sits; it is a rational
 function of s. The source writes them for a clamped output; here the output may carry an inertia.
@@ -21,15 +21,21 @@ DAMPING_5_13 = 1.414  # 2 ζ of the low-pass filters (Kim 2018 (5.13)): Butterwo
 class Gains(NamedTuple):
     """What a torque law is set to, in the joint's coordinates. Cut-off frequencies in Hz."""
 
-    kp: float  # N m/(N m)
-    ki: float = 0.0  # 1/s
+    kp: float = 0.0  # N m/(N m); cascade: rad/s per N m
+    ki: float = 0.0  # 1/s; cascade: rad/s² per N m
     kd: float = 0.0  # N m s/rad
     derivative_cutoff: float = math.inf  # of PD_f's differentiated torque
     observer_cutoff: float = math.inf  # of the disturbance observer
-    torque_kp: float = 0.0  # cascade: rad/s per N m
-    torque_ki: float = 0.0  # cascade: rad/s² per N m
-    velocity_kp: float = 0.0  # cascade: N m s/rad
-    velocity_ki: float = 0.0  # cascade: N m/rad
+    velocity_kp: float = 0.0  # cascade's inner loop: N m s/rad
+    velocity_ki: float = 0.0  # cascade's inner loop: N m/rad
+
+
+class Feedback(NamedTuple):
+    """What a law gives to the motor, −(deflection · (theta − q) + velocity · dtheta) / denominator: polynomials in s."""
+
+    deflection: Polynomial  # N m/rad
+    velocity: Polynomial  # N m s/rad
+    denominator: Polynomial
 
 
 class Rational(NamedTuple):
@@ -53,41 +59,45 @@ def low_pass(cutoff: float) -> Polynomial:
     return w**2 + DAMPING_5_13 * w + 1.0
 
 
-def pd_f(a: LinearActuator, g: Gains) -> Rational:
-    """Kim 2018 (5.15): damping by the low-passed derivative of the torque; K_d,f = kd / k."""
-    plant, low = responses(a), low_pass(g.derivative_cutoff)
-    return Rational((a.stiffness * g.kp * low + g.kd * S) * plant.deflection, plant.denominator * low)
+_ONE = Polynomial([1.0])
 
 
-def pd_m(a: LinearActuator, g: Gains) -> Rational:
-    """Kim 2018 (5.17) without integral: damping by the motor's velocity."""
-    plant = responses(a)
-    return Rational(a.stiffness * g.kp * plant.deflection + g.kd * plant.velocity, plant.denominator)
+def pd_f(a: LinearActuator, g: Gains) -> Feedback:
+    """Kim 2018 (5.12): damping by the low-passed derivative of the torque; K_d,f = kd / k."""
+    low = low_pass(g.derivative_cutoff)
+    return Feedback(a.stiffness * g.kp * low + g.kd * S, 0.0 * S, low)
 
 
-def pid_m(a: LinearActuator, g: Gains) -> Rational:
-    """Kim 2018 (5.17)."""
-    proportional = pd_m(a, g)
-    integral = a.stiffness * g.ki * responses(a).deflection
-    return Rational(S * proportional.numerator + integral, S * proportional.denominator)
+def pd_m(a: LinearActuator, g: Gains) -> Feedback:
+    """Kim 2018 (5.16) without integral: damping by the motor's velocity."""
+    return Feedback(a.stiffness * g.kp * _ONE, g.kd * _ONE, _ONE)
 
 
-def pd_m_dob(a: LinearActuator, g: Gains) -> Rational:
-    """Kim 2018 (5.21), whose observer inverts PD_m of the clamped actuator (5.18)."""
-    plant, low = responses(a), low_pass(g.observer_cutoff)
-    nominal = responses(a._replace(load=math.inf)).denominator + a.stiffness * g.kp + g.kd * S
-    inner = pd_m(a, g).numerator
-    return Rational(nominal * plant.deflection + inner * (low - 1.0), plant.denominator * (low - 1.0))
+def pid_m(a: LinearActuator, g: Gains) -> Feedback:
+    """Kim 2018 (5.16)."""
+    return Feedback(a.stiffness * (g.kp * S + g.ki), g.kd * S, S)
 
 
-def cascade(a: LinearActuator, g: Gains) -> Rational:
+def pd_m_dob(a: LinearActuator, g: Gains) -> Feedback:
+    """Kim 2018 (5.19), whose observer inverts PD_m of the clamped actuator (5.18)."""
+    unity = low_pass(g.observer_cutoff) - 1.0  # (1 − Q) / Q
+    inverse = responses(a._replace(load=math.inf)).denominator + a.stiffness * g.kp + g.kd * S
+    return Feedback(inverse + a.stiffness * g.kp * unity, g.kd * unity, unity)
+
+
+def cascade(a: LinearActuator, g: Gains) -> Feedback:
     """Torque PI that asks an inner PI loop for motor velocity (Vallery et al. 2007, Kim 2018 §7.3.1)."""
-    plant = responses(a)
-    wanted = (g.torque_kp * S + g.torque_ki) * a.stiffness * plant.deflection
-    velocity = g.velocity_kp * S + g.velocity_ki
-    return Rational(velocity * (S * plant.velocity + wanted), S * S * plant.denominator)
+    inner = g.velocity_kp * S + g.velocity_ki
+    return Feedback(inner * (g.kp * S + g.ki) * a.stiffness, inner * S, S * S)
 
 
-OPEN_LOOPS: Mapping[str, Callable[[LinearActuator, Gains], Rational]] = {
+FEEDBACKS: Mapping[str, Callable[[LinearActuator, Gains], Feedback]] = {
     "PD_f": pd_f, "PD_m": pd_m, "PID_m": pid_m, "PD_m+DOB": pd_m_dob, "cascade": cascade,
 }  # fmt: skip
+
+
+def open_loop(law: str, a: LinearActuator, g: Gains) -> Rational:
+    """Kim 2018 (5.15), (5.17), (5.21): the loop of one of FEEDBACKS, positive when it counteracts."""
+    feedback, plant = FEEDBACKS[law](a, g), responses(a)
+    numerator = feedback.deflection * plant.deflection + feedback.velocity * plant.velocity
+    return Rational(numerator, feedback.denominator * plant.denominator)

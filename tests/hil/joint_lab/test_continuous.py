@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from hil.joint_lab.actuator import LinearActuator, responses, state_space
-from hil.joint_lab.continuous import OPEN_LOOPS, Gains, low_pass
+from hil.joint_lab.continuous import Gains, low_pass, open_loop
 from hil.joint_lab.margins import margins
 
 # Kim 2018 Table 5.1 and §5.3.2, per metre of screw travel: N_m = 3316 rad/m
@@ -19,7 +19,7 @@ PRINTED = {"PD_m": 47.6, "PD_m+DOB": 42.8, "PID_m": 34.0, "PD_f": 17.7}  # degre
 
 
 def loop(law, actuator=VLCA, gains=GAINS):
-    rational = OPEN_LOOPS[law](actuator, gains)
+    rational = open_loop(law, actuator, gains)
     return lambda omega: rational(1j * omega)
 
 
@@ -88,9 +88,9 @@ def test_with_a_delay_the_loops_are_those_of_5_12_to_5_20(law):
 @pytest.mark.parametrize("law", ["PD_f", "PD_m", "PID_m", "PD_m+DOB", "cascade"])
 @pytest.mark.parametrize("load", [math.inf, 300.0])
 def test_margins_are_those_of_python_control(law, load):
-    gains = GAINS._replace(torque_kp=2e-5, torque_ki=2e-4, velocity_kp=2e5, velocity_ki=1e6)
+    gains = GAINS if law != "cascade" else Gains(kp=2e-5, ki=2e-4, velocity_kp=2e5, velocity_ki=1e6)
     actuator = VLCA._replace(load=load, load_damping=0.0 if math.isinf(load) else 2e3)
-    rational = OPEN_LOOPS[law](actuator, gains)
+    rational = open_loop(law, actuator, gains)
     system = control.tf(rational.numerator.coef[::-1], rational.denominator.coef[::-1])
     gain, phase, _, _, at, _ = control.stability_margins(system)
     ours = margins(lambda omega: rational(1j * omega), 0.01, 1e5)
