@@ -7,11 +7,8 @@ reproducible as a run.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable
 from pathlib import Path
-from typing import NamedTuple
 
-import casadi as ca
 import numpy as np
 
 from bus.config import BusConfig
@@ -20,60 +17,37 @@ from bus.link import NEVER
 from bus.wire import Wire
 from hil.clock import tick_ns
 from hil.joint_lab.master import Command, Master
+from hil.joint_lab.setup import Setup
 from hil.record.recorder import Recorder
 from hil.streams import streams
-from joint_firmware.config import FirmwareConfig
 from joint_firmware.firmware import JointFirmware
-from plant.bench import Bench, Load
-from plant.config import SensorConfig
+from plant.bench import Bench
 from robots import pins
-from robots.description import Robot
 
 TRUTH = "/bench"  # channel of what the bench knows, at every interrupt
 SIGNALS = ("position", "velocity", "spring_torque")  # rad, rad/s, N m
 _DRIVE, _MASTER = 0, 1  # ports of the wire
 
 
-class Timing(NamedTuple):
-    """When things happen. Rates in Hz, times in s."""
-
-    servo_rate: float  # of the master
-    physics_rate: float  # a multiple of the interrupt rate
-    servo_phase: float = 0.25e-3  # from the drive's report to the master's tick: its state has arrived
-    command_delay: float = 0.0  # from the master's tick to its command on the bus
-    loop_delay: float = 0.0  # between drive and actuator, in steps of the physics
-
-
 class Rig:
     """Runs one joint over its bus; every frame goes into ``recorder``'s candump log.
 
-    ``loop_delay`` lets the drive's outputs take effect later than at its next interrupt: it delays the loop that the
+    The timing's ``loop_delay`` lets the drive's outputs take effect later than at its next interrupt: it delays the loop that the
     drive closes and nothing else.
     """
 
-    def __init__(
-        self,
-        robot: Robot,
-        joint_index: int,
-        firmware: FirmwareConfig,
-        load: Load,
-        command: Command,
-        timing: Timing,
-        sensors: SensorConfig,
-        friction_scale: float = 1.0,
-        seed: int = 0,
-        directory: Path | None = None,
-        compile: Callable[[ca.Function], ca.Function] = lambda function: function,
-    ) -> None:
-        joint = robot.joints[joint_index]
-        bus = next(bus for bus in robot.buses if joint.name in bus.joints)
-        random = streams(seed)
+    def __init__(self, setup: Setup, command: Command, directory: Path | None = None) -> None:
+        """Powered on. Raises ValueError for a load too light for the physics' rate."""
+        robot, index, firmware, timing = setup.robot, setup.joint_index, setup.firmware, setup.timing
+        random = streams(setup.seed)
         self._rate, self._steps = int(firmware.rate), round(timing.physics_rate / firmware.rate)
-        self.firmware = JointFirmware(robot, joint_index, firmware, compile)
-        self.bench = Bench(robot, joint_index, load, timing.physics_rate, sensors, random, friction_scale, compile)
-        self.master = Master(robot, joint_index, command)
-        self.wire = Wire(bus.name, BusConfig(), 2, random)
-        self.recorder = Recorder(directory, {TRUTH: SIGNALS}, [bus.name])
+        self.firmware = JointFirmware(robot, index, firmware, setup.compile)
+        self.bench = Bench(
+            robot, index, setup.load, timing.physics_rate, setup.sensors, random, setup.friction_scale, setup.compile
+        )
+        self.master = Master(robot, index, command)
+        self.wire = Wire(setup.bus, BusConfig(), 2, random)
+        self.recorder = Recorder(directory, {TRUTH: SIGNALS}, [setup.bus])
         self._truth, self._row = self.recorder.channel(TRUTH), np.zeros(len(SIGNALS))
         self._outputs = np.zeros(pins.N_OUTPUTS, np.int32)
         self.firmware.attach(self.bench.pins_in, self._outputs)
