@@ -7,6 +7,7 @@ import json
 import signal
 from typing import Any
 
+from hil.commands import joint_chirp, joint_margins, joint_step
 from hil.commands.arguments import natural
 from hil.commands.joint_arguments import LOADS, load_of, node_id, scenario_of, seconds, which
 from hil.errors import EmulationError, UserError
@@ -42,7 +43,7 @@ def add_parser(commands: Any) -> None:
 
 def _joint(options: argparse.Namespace) -> int:
     if options.can is None:
-        raise UserError("name the bus, for example --can hil:lab, or a COMMAND (`hil joint --help` lists what there is)")
+        raise UserError("name the bus, e.g. --can hil:lab, or a COMMAND (`hil joint --help` lists what there is)")
     scenario = scenario_of(options)
     duration, load = seconds(options.duration), load_of(options.load)
     from hil.backends.lifecycle import quiet_collector

@@ -81,7 +81,7 @@ class Chirp(NamedTuple):
 
 
 def amplitude(setup: Setup, high: float) -> float:
-    """Torque of a sweep up to ``high`` Hz that stays within the drive's limits of torque, its rate, and current, N m."""
+    """Of a sweep up to ``high`` Hz that stays within the drive's limits of torque, its rate, and current, N m."""
     firmware, actuator = setup.firmware, setup.joint.actuator
     # commands come at the servo rate as steps, each of which the drive's rate limit must let pass within an interrupt
     steepest = 2.0 * math.sin(min(math.pi * high / setup.timing.servo_rate, math.pi / 2))

@@ -31,7 +31,7 @@ class Gains(NamedTuple):
 
 
 class Feedback(NamedTuple):
-    """What a law gives to the motor, −(deflection · (theta − q) + velocity · dtheta) / denominator: polynomials in s."""
+    """A law's torque at the motor, −(deflection · (theta − q) + velocity · dtheta) / denominator: polynomials in s."""
 
     deflection: Polynomial  # N m/rad
     velocity: Polynomial  # N m s/rad

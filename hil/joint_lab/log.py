@@ -1,4 +1,4 @@
-"""What a bus's candump log tells of one drive: the commands, each with the interrupt at which it acts, and the reports."""
+"""What a bus's candump log tells of one drive: its reports, and its commands with the interrupts at which they act."""
 
 from __future__ import annotations
 
@@ -34,9 +34,10 @@ class Exchange(NamedTuple):
 
 
 def read(path: Path, node_id: int, slot: int, rate: int, ticks_per_report: int) -> Exchange:
-    """The exchange in the log at ``path`` between a master and the drive ``node_id``, whose slot of commands is ``slot``.
+    """The exchange between a master and a drive that the log at ``path`` holds.
 
     Args:
+        node_id: of the drive. slot: its slot in the commands.
         rate: interrupts of the drive per second.
         ticks_per_report: interrupts per report.
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -26,6 +26,11 @@ class Crossover(NamedTuple):
         return (self.phase_margin % (2.0 * math.pi)) / self.omega
 
 
+def critical(crossovers: Sequence[Crossover]) -> Crossover | None:
+    """The crossover with the smallest phase margin; None without any."""
+    return min(crossovers, key=lambda c: abs(c.phase_margin), default=None)
+
+
 class Margins(NamedTuple):
     """Margins of a loop that is stable when closed; without a crossover they are infinite."""
 
@@ -35,7 +40,7 @@ class Margins(NamedTuple):
     @property
     def critical(self) -> Crossover | None:
         """The crossover with the smallest phase margin."""
-        return min(self.crossovers, key=lambda c: abs(c.phase_margin), default=None)
+        return critical(self.crossovers)
 
     @property
     def phase_margin(self) -> float:

@@ -32,8 +32,8 @@ _DRIVE, _MASTER = 0, 1  # ports of the wire
 class Rig:
     """Runs one joint over its bus; every frame goes into ``recorder``'s candump log.
 
-    The timing's ``loop_delay`` lets the drive's outputs take effect later than at its next interrupt: it delays the loop that the
-    drive closes and nothing else.
+    The timing's ``loop_delay`` lets the drive's outputs take effect later than at its next interrupt: it delays the
+    loop that the drive closes and nothing else.
     """
 
     def __init__(self, setup: Setup, command: Command, directory: Path | None = None) -> None:

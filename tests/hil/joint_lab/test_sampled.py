@@ -82,7 +82,7 @@ def test_closed_loop_is_that_of_python_control():
     plant, law = discretise(state_space(LOADED), PERIOD, PERIOD), proportional_derivative()
     p = control.ss(*plant.system, dt=PERIOD)
     w = control.ss(*law.system, dt=PERIOD)
-    names = dict(inputs=["u"], outputs=["theta", "deflection", "current"])
+    names = {"inputs": ["u"], "outputs": ["theta", "deflection", "current"]}
     p = control.ss(p, name="plant", **names)
     w = control.ss(w, name="law", inputs=["theta", "deflection", "command"], outputs=["u"])
     whole = control.interconnect([p, w], inputs=["command"], outputs=["theta", "deflection", "current", "u"])
