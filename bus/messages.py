@@ -52,6 +52,10 @@ class Mode:
     TORQUE = 10  # cyclic synchronous torque
     POSITION = 8  # cyclic synchronous position
     DAMPING = -1  # brake by motor velocity
+    OPEN_LOOP = -2  # torque of the motor, without a torque loop
+    MOTOR_POSITION = -3  # position of the motor, without a torque loop (Kim 2018 (5.23))
+    JOINT_POSITION = -4  # position of the joint around the torque loop (Kim 2018 Fig. 7.1)
+    IMPEDANCE = -5  # commanded torque, stiffness and damping of the joint around the torque loop
 
 
 class GainSet:

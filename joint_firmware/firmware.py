@@ -31,7 +31,12 @@ _U16 = 0xFFFF
 _ENABLED = DriveState.OPERATION_ENABLED  # a member of an Enum is slow to look up
 _STOPPING = (DriveState.QUICK_STOP_ACTIVE, DriveState.FAULT_REACTION_ACTIVE)
 _NO_LIMIT = 1e9  # N m: the set-point's own limit where none comes with it
-_MODES = frozenset({Mode.NONE, Mode.TORQUE, Mode.POSITION, Mode.DAMPING})
+_WEIGHTS = (
+    (Mode.TORQUE, law.U_TORQUE_MODE), (Mode.POSITION, law.U_POSITION_MODE), (Mode.OPEN_LOOP, law.U_OPEN_LOOP_MODE),
+    (Mode.MOTOR_POSITION, law.U_MOTOR_POSITION_MODE), (Mode.JOINT_POSITION, law.U_JOINT_POSITION_MODE),
+    (Mode.IMPEDANCE, law.U_IMPEDANCE_MODE),
+)  # fmt: skip
+_MODES = frozenset({Mode.NONE, Mode.DAMPING, *(mode for mode, _ in _WEIGHTS)})
 
 
 def _identity(function: ca.Function) -> ca.Function:
@@ -60,6 +65,7 @@ class JointFirmware:
         self.name, self.node_id = joint.name, joint.node_id
         self._slot_offset = 4 + _SLOT.size * bus.joints.index(joint.name)
         self._state_id = messages.STATE + joint.node_id
+        config = config.of_joint(joint.name)
         rate = config.rate
         if rate % config.report_rate:
             slow = config.report_rate
@@ -72,7 +78,7 @@ class JointFirmware:
         self._defaults = Settings(config, joint)
 
         self.law = drive_law(joint, config)
-        self._started, self._theta = map(self.law.states.index, ("started", "theta"))
+        self._started = self.law.states.index("started")
         self._law = memory = LawMemory(self.law, compile)
         self._evaluate, self._x, self._x_next = memory.evaluate, memory.x_array, memory.x_next_array
         self._counts, self.x, self.u, self.y = memory.counts, memory.x, memory.u, memory.y
@@ -271,7 +277,9 @@ class JointFirmware:
         """Set-points that move nothing: no old one may act when a drive is enabled or its mode changes."""
         u = self.u
         u[law.U_TORQUE] = u[law.U_VELOCITY] = 0.0
-        u[law.U_POSITION] = self.x[self._theta]  # the motor's, which the spring's torque does not move
+        # the motor's, which the spring's torque does not move, unless the joint's own is fed back
+        of_joint = self.mode in (Mode.JOINT_POSITION, Mode.IMPEDANCE)
+        u[law.U_POSITION] = self.y[law.Y_POSITION_SI if of_joint else law.Y_RELAXED_SI]
         u[law.U_LIMIT] = _NO_LIMIT
         self.gain_set = self.settings.gain_set
         self._use_gains()
@@ -282,8 +290,9 @@ class JointFirmware:
         """Weights of the law: the drive's state decides first what runs, the commanded mode second."""
         u = self.u
         enabled = self._drive is _ENABLED
-        u[law.U_TORQUE_MODE] = float(enabled and mode == Mode.TORQUE)
-        u[law.U_POSITION_MODE] = float(enabled and mode == Mode.POSITION)
+        for number, weight in _WEIGHTS:
+            u[weight] = float(enabled and mode == number)
+        u[law.U_ENABLED] = float(enabled)
         stopping = self._drive in _STOPPING
         u[law.U_DAMPING_MODE] = float(stopping or (enabled and mode == Mode.DAMPING))
 
