@@ -15,33 +15,28 @@ from robots import imu, pins
 from robots.description import Imu, Robot
 
 FOOT_SWITCH_FORCE = 5.0  # N that close a foot's switch
-# pins that are filled from the actuators, in this order
-_PINS = (
-    pins.MOTOR_ENCODER, pins.SPRING_ENCODER, pins.CURRENT_ADC, pins.TEMPERATURE_ADC, pins.SUPPLY_ADC,
-    pins.JOINT_ENCODER, pins.FORCE_ADC,
-)  # fmt: skip
+_FILLED = pins.FORCE_ADC + 1  # pins that are filled from the actuators
 # per joint: scales [counts per unit] of motor encoder, spring encoder, current, joint encoder and load cell, errors of
 # the zeros [counts] of spring encoder, current and load cell, and noise [counts, 1σ] of the last two
 _PARAMETERS = 10
 
 
 def sense(bank: ActuatorBank) -> ca.Function:
-    """Counts of all drives: ``(*arguments of the bank, noise[2n], p[n, 10]) -> counts[7, n]``, rows as ``_PINS``."""
+    """Counts of all drives: ``(*arguments of the bank, noise[2n], p[n, 10]) -> counts[pins, n]``."""
     n = len(bank.names)
     noise, p = ca.SX.sym("noise", 2 * n), ca.SX.sym("p", n, _PARAMETERS)
     encoder, spring, ampere, joint, force, spring_bias, current_bias, force_bias, current_noise, force_noise = (
         ca.horzsplit(p)
     )
     sensed = Sensed(*(ca.vertcat(*column) for column in zip(*bank.symbols.sensed, strict=True)))
-    counts = ca.horzcat(
-        encoder * sensed.motor,
-        spring * sensed.deflection + spring_bias,
-        ampere * sensed.current + current_bias + current_noise * noise[:n],
-        sensed.temperature / pins.KELVIN_PER_COUNT,
-        sensed.supply / pins.VOLT_PER_COUNT,
-        joint * bank.symbols.q,
-        force * sensed.effort + force_bias + force_noise * noise[n:],
-    )
+    counts = ca.SX.zeros(n, _FILLED)
+    counts[:, pins.MOTOR_ENCODER] = encoder * sensed.motor
+    counts[:, pins.SPRING_ENCODER] = spring * sensed.deflection + spring_bias
+    counts[:, pins.CURRENT_ADC] = ampere * sensed.current + current_bias + current_noise * noise[:n]
+    counts[:, pins.TEMPERATURE_ADC] = sensed.temperature / pins.KELVIN_PER_COUNT
+    counts[:, pins.SUPPLY_ADC] = sensed.supply / pins.VOLT_PER_COUNT
+    counts[:, pins.JOINT_ENCODER] = joint * bank.symbols.q
+    counts[:, pins.FORCE_ADC] = force * sensed.effort + force_bias + force_noise * noise[n:]
     rounded = ca.floor(counts + 0.5)
     return ca.Function("joint_sensors", [*bank.symbols.arguments, noise, p], [rounded.T])
 
@@ -76,9 +71,9 @@ class JointSensors:
         self._noise, self._draw = streams("plant.joints.noise"), np.zeros(2 * n)
         self._force_noise = streams("plant.joints.force_noise")
         self._with_force = any(joint.sensor.force_noise for joint in joints)
-        self._counts = np.zeros((n, len(_PINS)))
+        self._counts = np.zeros((n, _FILLED))
         self._evaluate = bank.bind(compile(sense(bank)), self._counts.reshape(-1), more=(self._draw, p))
-        self._n, self._columns = n, np.array(_PINS)
+        self._n = n
         self._knees = [robot.joint_names.index(foot.joint) for foot in robot.feet]
 
     def write(self, inputs: np.ndarray, loads: Sequence[float]) -> None:
@@ -88,7 +83,7 @@ class JointSensors:
         if self._with_force:
             self._draw[n:] = self._force_noise.normal(n)
         self._evaluate()
-        inputs[:, self._columns] = self._counts
+        inputs[:, :_FILLED] = self._counts
         for knee, load in zip(self._knees, loads, strict=True):
             inputs[knee, pins.SWITCHES] = pins.FOOT_SWITCH if load > FOOT_SWITCH_FORCE else 0
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from pydantic import Discriminator, Field, InstanceOf, Tag
+from pydantic import Discriminator, Field, InstanceOf, Tag, model_validator
 
 from robots.linkage import Linkage
 from robots.pins import AMPERE_PER_COUNT
@@ -19,6 +19,7 @@ Positive = Annotated[float, Field(gt=0)]
 NonNegative = Annotated[float, Field(ge=0)]
 
 AMBIENT = 25.0  # °C, at which data sheets give resistances
+COPPER = 0.00393  # 1/K, rise of a winding's resistance from there
 
 # Current that liquid cooling lets flow for as long as one likes, over that of air (Kim 2018 §5.3.1). Heat is resistance
 # times current squared: the way from the winding to the surroundings has its square less thermal resistance.
@@ -159,13 +160,29 @@ MATERIALS: Mapping[str, Material] = {
 
 
 class Elastomer(Config):
-    """The viscoelastic element of one actuator: as built, it may differ from the material's test piece."""
+    """The viscoelastic element of one actuator. What is not given is that of the material's test piece."""
 
     material: str
     stiffness: Positive  # N/m, at once
     damping: NonNegative  # N s/m
     creep: Annotated[float, Field(ge=0, lt=1)]  # share of the force that relaxes
-    creep_time_constant: Positive  # s, of that relaxation
+    # s, of that relaxation. ASSUMED, as Table C.2 gives shares only: of the order in which rubbers in compression lose
+    # most of what they lose, tens of seconds
+    creep_time_constant: Positive = 10.0
+
+    @model_validator(mode="before")
+    @classmethod
+    def _from_table(cls, data: Any) -> Any:
+        if not isinstance(data, Mapping) or "material" not in data:
+            return data
+        name = data["material"]
+        if name not in MATERIALS:
+            raise ValueError(f"no material {name!r}; there is: {', '.join(MATERIALS)}")
+        material = MATERIALS[name]
+        if material.creep is None and "creep" not in data:
+            raise ValueError(f"creep: Kim 2018 Table C.2 has none for {name}: give one, for example 0.15")
+        known = {"stiffness": material.stiffness, "damping": material.damping, "creep": material.creep}
+        return {**known, **data}
 
 
 class Viscoelastic(Actuator):

@@ -2,7 +2,7 @@
 
     tau_s = k (theta − q) + d (dtheta − dq),      J ddtheta = tau_m − tau_s − b dtheta − friction
 
-with dry friction that grows with the transmitted torque.
+with dry friction that grows with the transmitted torque, and tau_m of a motor (``plant.actuators.motor``).
 """
 
 from __future__ import annotations
@@ -12,13 +12,14 @@ from types import SimpleNamespace
 
 import casadi as ca
 
+from plant.actuators import motor
 from plant.actuators.friction import slide
 from plant.actuators.model import ActuatorModel, Inputs, Sensed, Symbol
-from robots.actuators import AMBIENT, SeriesElastic
+from robots.actuators import SeriesElastic
 
 
 class SeriesElasticModel(ActuatorModel, describes=SeriesElastic):
-    """States: theta [rad], dtheta [rad/s]."""
+    """States: theta [rad], dtheta [rad/s], and the motor's."""
 
     friction = ("coulomb", "static", "load_friction")
 
@@ -29,36 +30,34 @@ class SeriesElasticModel(ActuatorModel, describes=SeriesElastic):
             "damping": a.damping,
             "inertia": a.rotor_inertia,
             "torque_per_ampere": a.torque_per_ampere,
-            "current_limit": a.current_limit,
             "coulomb": a.coulomb,
             "static": a.static,
             "load_friction": a.load_friction,
             "viscous": a.viscous,
+            **motor.parameters(a),
         }
 
     def rest(self, q: float) -> Mapping[str, float]:
-        return {"theta": q, "dtheta": 0.0}
+        return {"theta": q, "dtheta": 0.0, **motor.rest()}
 
     def step(self, x: SimpleNamespace, u: Inputs, p: SimpleNamespace, dt: float) -> tuple[Mapping[str, Symbol], Symbol]:
         spring = self._spring(x, u, p)
+        flow = motor.flow(x, u, p, x.dtheta, spring, dt)
         friction = p.load_friction * ca.fabs(spring)
         dtheta = slide(
-            x.dtheta, p.torque_per_ampere * self._current(u, p) - spring, p.inertia, dt,
+            x.dtheta, p.torque_per_ampere * flow.current - spring, p.inertia, dt,
             p.coulomb + friction, p.static + friction, p.viscous,
         )  # fmt: skip
-        return {"theta": x.theta + dt * dtheta, "dtheta": dtheta}, spring
+        after = {"theta": x.theta + dt * dtheta, "dtheta": dtheta, "current": flow.current}
+        return {**after, **motor.warm(x, p, flow.heat, dt)}, spring
 
     def sense(self, x: SimpleNamespace, u: Inputs, p: SimpleNamespace) -> Sensed:
         spring = self._spring(x, u, p)
         return Sensed(
             motor=x.theta, motor_velocity=x.dtheta, deflection=x.theta - u.q, effort=spring, torque=spring,
-            current=self._current(u, p), temperature=AMBIENT, supply=u.supply,
+            current=x.current, temperature=x.winding, supply=u.supply,
         )  # fmt: skip
 
     @staticmethod
     def _spring(x: SimpleNamespace, u: Inputs, p: SimpleNamespace) -> Symbol:
         return p.stiffness * (x.theta - u.q) + p.damping * (x.dtheta - u.dq)
-
-    @staticmethod
-    def _current(u: Inputs, p: SimpleNamespace) -> Symbol:
-        return ca.fmin(ca.fmax(u.current, -p.current_limit), p.current_limit)

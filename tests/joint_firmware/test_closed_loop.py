@@ -23,14 +23,14 @@ def held_joint(drive, ticks, friction=1.0, start=(0.0, 0.0), silent=False, **set
     p = np.array([
         value * (friction if name in model.friction else 1.0) for name, value in model.parameters().items()
     ])  # fmt: skip
-    rotor, rows, demand = np.array(start), [], 0.0
+    state, rows, demand = np.array([*start, *list(model.rest(0.0).values())[2:]]), [], 0.0
     for tick in range(ticks):
-        rows.append(rotor)
-        drive.inputs[pins.MOTOR_ENCODER] = np.rint(drive.joint.sensor.encoder * rotor[0])
-        drive.inputs[pins.SPRING_ENCODER] = np.rint(drive.joint.spring_counts_per_rad * rotor[0])
+        rows.append(state[:2])
+        drive.inputs[pins.MOTOR_ENCODER] = np.rint(drive.joint.sensor.encoder * state[0])
+        drive.inputs[pins.SPRING_ENCODER] = np.rint(drive.joint.spring_counts_per_rad * state[0])
         drive.tick(*([] if silent or tick % 2 else [drive.frame(0x0F, **setpoint)]))
         for _ in range(STEPS):
-            rotor = np.array(step(rotor, demand * drive.enabled, a.supply_voltage, 0.0, 0.0, p)[0]).ravel()
+            state = np.array(step(state, demand * drive.enabled, a.supply_voltage, 0.0, 0.0, p)[0]).ravel()
         # takes effect at the next interrupt
         demand = drive.outputs[pins.CURRENT_DEMAND] * pins.AMPERE_PER_COUNT
     return np.array(rows)

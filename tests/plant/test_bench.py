@@ -126,6 +126,7 @@ def test_currents_saturate_and_a_disabled_stage_gives_none():
     for amperes, enable, expected in ((1e3, 1, limit), (-1e3, 1, -limit), (1e3, 0, 0.0)):
         bench.pins_out[:] = round(amperes / pins.AMPERE_PER_COUNT), enable
         bench.latch()
+        bench.step()
         bench.sample()
         assert bench.pins_in[pins.CURRENT_ADC] == round(expected / pins.AMPERE_PER_COUNT)
 

@@ -228,6 +228,7 @@ def test_pins_carry_the_scales_of_the_electronics():
     outputs[:, pins.CURRENT_DEMAND] = [100, -200, 300, -5000, 5000, 7]
     outputs[:, pins.ENABLE] = [1, 1, 1, 1, 1, 0]
     node.latch()
+    node.step()
     node.sample()
     assert inputs[:, pins.CURRENT_ADC].tolist() == [100, -200, 300, -1300, 2750, 0]
     assert (inputs[:, pins.SUPPLY_ADC] == 4800).all() and (inputs[:, pins.TEMPERATURE_ADC] == 250).all()

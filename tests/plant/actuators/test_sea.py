@@ -6,6 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from plant.actuators import motor
 from plant.actuators.bank import ActuatorBank, Symbols
 from plant.actuators.model import ActuatorModel
 from robots import description
@@ -15,9 +16,15 @@ DT = 1.0 / 3000.0
 
 
 def stepper(dt):
-    """``(rotor, current, joint, p) -> (next, torque)`` of one actuator, the supply on."""
+    """``(rotor, current, joint, p) -> (next, torque)`` of one actuator, its supply on, its winding cold."""
     function = Symbols([ActuatorModel.of(HIP)], dt).step()
-    return lambda rotor, current, joint, p: function(rotor, current, HIP.supply_voltage, joint[0], joint[1], p)
+
+    def step(rotor, current, joint, p):
+        state = [*rotor, *motor.rest().values()]
+        after, torque = function(state, current, HIP.supply_voltage, joint[0], joint[1], p)
+        return np.array(after).ravel()[:2], torque
+
+    return step
 
 
 STEP = stepper(DT)
