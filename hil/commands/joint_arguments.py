@@ -81,7 +81,8 @@ def scenario_of(options: argparse.Namespace, further: tuple[str, ...] = ()) -> S
         if not setting.strip().startswith((*ALONE, *(f"{key}=" for key in further))):
             raise UserError(
                 f"--set {setting}: a joint alone has firmware.…, sensors.…, world.friction_scale"
-                + "".join(f", {key}" for key in further) + " and world.rate"
+                + "".join(f", {key}" for key in further)
+                + " and world.rate"
             )
     settings = [f"robot={options.robot}", *options.settings]
     if options.rate is not None:
@@ -115,8 +116,6 @@ def seconds(text: str | None, option: str = "--duration") -> float | None:
     if not 0 < duration <= 1e6:
         raise UserError(f"{option} {text}: expected more than 0 s")
     return duration
-
-
 
 
 def named(options: argparse.Namespace) -> set[str]:

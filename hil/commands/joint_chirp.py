@@ -53,8 +53,10 @@ def _chirp(options: argparse.Namespace) -> int:
     results: dict[str, dict[str, Any]] = {}
     for law, of_law in laws_of(options, setup).items():
         try:
-            size = chirp.amplitude(of_law, high) if options.amplitude is None else quantity(
-                options, "amplitude", "--amplitude", "N m"
+            size = (
+                chirp.amplitude(of_law, high)
+                if options.amplitude is None
+                else quantity(options, "amplitude", "--amplitude", "N m")
             )
         except ValueError as error:
             raise UserError(f"--load {options.load}: {error}") from None
@@ -105,7 +107,7 @@ def _print(setup: Setup, options: argparse.Namespace, results: dict[str, dict[st
     print(f"{'law':10} {'amplitude':>10}   {'torque':^28}   {'current':^28}   open loop, measured")
     for law, part in results.items():
         cells = "   ".join(
-            f"{100 * p['magnitude_deviation']:6.2f} % {p['phase_deviation_deg']:6.2f}° of {100 * p['coherent_share']:4.0f} %"
+            f"{1e2 * p['magnitude_deviation']:6.2f} % {p['phase_deviation_deg']:6.2f}° of {1e2 * p['coherent_share']:4.0f} %"
             for p in (part["torque"], part["current"])
         )
         margin = part["phase_margin_deg"]

@@ -21,7 +21,7 @@ _ALL = "all"
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The joint, its load and settings, and where the results go."""
     parser.add_argument("robot", metavar="ROBOT", help="whose joint it is: vlca, hume …")
-    parser.add_argument("--joint", metavar="NAME", help="which, where the robot has several, e.g. left_knee")
+    parser.add_argument("--joint", metavar="NAME", help="which, if it has several, e.g. left_knee")
     parser.add_argument("--node", type=node_id, metavar="ID", help="instead of --joint: its CANopen node id")
     parser.add_argument("--load", default="locked", metavar="LOAD", help=f"on the output (locked): {LOADS}")
     parser.add_argument("--rate", metavar="HZ", help="ISR rate, e.g. 5kHz; it reports at half of it")
@@ -34,26 +34,65 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
 
 
-def setup_of(options: argparse.Namespace) -> Setup:
-    """The experiment that ``options`` describe. Raises UserError."""
+def setup_of(options: argparse.Namespace, smooth: bool = False) -> Setup:
+    """The experiment that ``options`` describe, with the gains that the sources print for its joint unless --set says
+    other ones. ``smooth``: without dry friction, unless --set says how much. Raises UserError."""
     from hil.compiled import compile_function
+    from hil.joint_lab import published
     from hil.joint_lab.setup import Setup, Timing
     from robots import description
 
-    scenario, load = scenario_of(options, _CONTROLLER), load_of(options.load)
-    robot = description.load(scenario.robot)
+    robot = description.load(scenario_of(options, _CONTROLLER).robot)
+    joint_index = which(options, robot)
+    joint, load = robot.joints[joint_index], load_of(options.load)
+    if not joint.limits[0] <= load.at <= joint.limits[1]:
+        low, high = joint.limits
+        raise UserError(
+            f"--load {options.load}: {joint.name} goes from {low:g} rad to {high:g} rad, not to at = {load.at:g}"
+        )
+    defaults = [*published.settings(joint), *(["world.friction_scale=0"] if smooth else [])]
+    asked = named(options)
+    scenario = scenario_of(
+        argparse.Namespace(**{**vars(options), "settings": [*defaults, *options.settings]}), _CONTROLLER
+    )
     firmware, controller, world = scenario.firmware, scenario.controller, scenario.world
-    servo = controller.rate if "controller.rate" in named(options) else firmware.report_rate
+    servo = controller.rate if "controller.rate" in asked else firmware.report_rate
     if servo != firmware.report_rate:
         raise UserError(
             f"controller.rate = {servo:g} Hz: expected the drive's report rate, {firmware.report_rate:g} Hz"
         )
-    physics = world.rate if "world.rate" in named(options) else _PHYSICS_STEPS * firmware.rate
+    physics = world.rate if "world.rate" in asked else _PHYSICS_STEPS * firmware.rate
     timing = Timing(servo, physics, controller.phase, controller.compute_time)
     return Setup(
-        robot, which(options, robot), firmware, load, scenario.sensors, timing, world.friction_scale, options.seed,
-        compile_function,
+        robot, joint_index, firmware, load, scenario.sensors, timing, world.friction_scale, seed=options.seed,
+        compile=compile_function,
     )  # fmt: skip
+
+
+def laws_of(options: argparse.Namespace, setup: Setup) -> dict[str, Setup]:
+    """A setup for each law that --law names, or for all that drive such an actuator. Raises UserError."""
+    from hil.joint_lab.continuous import FEEDBACKS
+    from hil.schema import nearest
+    from joint_firmware.config import canonical_law
+    from robots.actuators import Hydraulic
+
+    if isinstance(setup.joint.actuator, Hydraulic):
+        raise UserError(f"{setup.robot.name} {setup.joint.name} is hydraulic: its valve has no linear theory here")
+    laws = list(FEEDBACKS) if options.law == _ALL else [canonical_law(name) for name in options.law.split(",")]
+    for law in laws:
+        if law not in FEEDBACKS:
+            raise UserError(f"--law {law}: no such torque loop{nearest(law, list(FEEDBACKS))}")
+    return {law: setup._replace(firmware=setup.firmware.model_copy(update={"law": law})) for law in laws}
+
+
+def quantity(options: argparse.Namespace, name: str, option: str, unit: str) -> float:
+    """The value of ``option`` in the SI unit ``unit``. Raises UserError."""
+    from robots.quantities import parse_quantity
+
+    try:
+        return parse_quantity(getattr(options, name), unit)
+    except ValueError as error:
+        raise UserError(f"{option}: {error}") from None
 
 
 def directory(out: Path | None) -> Path | None:

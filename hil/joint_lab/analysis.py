@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 from hil.joint_lab import continuous, impedance, sampled
 from hil.joint_lab.impedance import Passivity
-from hil.joint_lab.law import gains_of, sampled_law
+from hil.joint_lab.law import gains_of
 from hil.joint_lab.margins import Margins, frequencies, margins
 from hil.joint_lab.plots import Curve
 from hil.joint_lab.setup import Setup
@@ -46,7 +46,7 @@ class Analysis(NamedTuple):
 
 def in_continuous_time(setup: Setup) -> Analysis:
     """As the source has it: without delay, without sampling. Raises ValueError for a load that is not linear."""
-    actuator, gains, law = setup.actuator(), gains_of(setup.joint, setup.firmware), setup.firmware.law
+    actuator, gains, law = setup.actuator(), gains_of(setup.joint, setup.firmware, setup.gain_set), setup.firmware.law
     rational = continuous.open_loop(law, actuator, gains)
     curve = _curve(lambda omega: rational(1j * omega), HIGH)
     omega = frequencies(LOW, HIGH)
@@ -59,7 +59,7 @@ def as_sampled(setup: Setup) -> Analysis:
 
     Raises ValueError for a load that is not linear.
     """
-    plant, law = setup.plant(), sampled_law(setup.joint, setup.firmware)
+    plant, law = setup.plant(), setup.law()
     high = _BELOW * setup.nyquist
     curve = _curve(lambda omega: sampled.open_loop(plant, law, omega), high)
     omega = frequencies(LOW, high)

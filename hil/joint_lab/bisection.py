@@ -28,7 +28,7 @@ def grows(setup: Setup, kick: float, omega: float) -> bool:
     ticks = max(round(_KICK_PERIODS * period * setup.timing.servo_rate), 1)
     window = _PERIODS * period
     start = _BOOT_S + (_KICK_PERIODS + 2.0) * period
-    rig = Rig(setup, torque(lambda tick, _: kick if tick < ticks else 0.0))
+    rig = Rig(setup, torque(lambda tick, _: kick if tick < ticks else 0.0, setup.gain_set))
     rig.run(start + 2.0 * window)
     if rig.master.failure is not None:
         return True

@@ -23,7 +23,6 @@ from hil.errors import EmulationError
 from hil.joint_lab import log, sampled
 from hil.joint_lab.excitation import SIZES, Sweeps
 from hil.joint_lab.identification import Measured, frequency_response
-from hil.joint_lab.law import sampled_law
 from hil.joint_lab.margins import Crossover
 from hil.joint_lab.master import torque
 from hil.joint_lab.rig import Rig
@@ -85,7 +84,7 @@ def amplitude(setup: Setup, high: float) -> float:
     firmware, actuator = setup.firmware, setup.joint.actuator
     # commands come at the servo rate as steps, each of which the drive's rate limit must let pass within an interrupt
     steepest = 2.0 * math.sin(min(math.pi * high / setup.timing.servo_rate, math.pi / 2))
-    plant, law = setup.plant(), sampled_law(setup.joint, firmware)
+    plant, law = setup.plant(), setup.law()
     omega = np.geomspace(1.0, 2.0 * math.pi * high, 300)
     demand = sampled.response(sampled.closed_loop(plant, law), np.exp(1j * omega * setup.period))[:, -1, 0]
     return _SHARE * min(
@@ -106,7 +105,9 @@ def run(setup: Setup, sweeps: Sweeps, offset: float = 0.0, directory: Path | Non
     rate = setup.timing.servo_rate
     excited = sweeps._replace(low=sweeps.low / _BEYOND, high=min(sweeps.high * _BEYOND, 0.45 * rate))
     samples = (offset + excited.samples(rate)).tolist()
-    rig = Rig(setup, torque(lambda tick, _: samples[tick] if tick < len(samples) else offset), directory)
+    rig = Rig(
+        setup, torque(lambda tick, _: samples[tick] if tick < len(samples) else offset, setup.gain_set), directory
+    )
     rig.run(_BOOT_S + len(samples) / rate)
     rig.recorder.close()
     if rig.master.failure is not None:
@@ -130,10 +131,10 @@ def evaluate(setup: Setup, sweeps: Sweeps, path: Path) -> Chirp:
         frequency_response(u, y[windows], pairs.rate, period, sweeps.low, sweeps.high)
         for y in (pairs.torques, pairs.currents)
     )
-    plant, law = setup.plant(), sampled_law(joint, setup.firmware)
+    plant, law = setup.plant(), setup.law()
     z = np.exp(1j * by_torque.omega / pairs.rate)
     seen = sampled.response(sampled.at_reports(sampled.closed_loop(plant, law), ratio, pairs.offset), z)[:, :, 0]
-    stiffness, constant = joint.actuator.stiffness, joint.actuator.torque_per_ampere
+    stiffness, constant = setup.torque_per_deflection, joint.actuator.torque_per_ampere
     direct, images = _forward(law, plant, by_torque.omega / pairs.rate, ratio, pairs.offset)
     loop = by_current._replace(values=direct / (constant * by_current.values - images) - 1.0)
     return Chirp(

@@ -21,13 +21,12 @@ DAMPING_5_13 = 1.414  # 2 ζ of the low-pass filters (Kim 2018 (5.13)): Butterwo
 class Gains(NamedTuple):
     """What a torque law is set to, in the joint's coordinates. Cut-off frequencies in Hz."""
 
-    kp: float = 0.0  # N m/(N m); cascade: rad/s per N m
-    ki: float = 0.0  # 1/s; cascade: rad/s² per N m
+    kp: float = 0.0  # N m/(N m)
+    ki: float = 0.0  # 1/s
     kd: float = 0.0  # N m s/rad
     derivative_cutoff: float = math.inf  # of PD_f's differentiated torque
     observer_cutoff: float = math.inf  # of the disturbance observer
-    velocity_kp: float = 0.0  # cascade's inner loop: N m s/rad
-    velocity_ki: float = 0.0  # cascade's inner loop: N m/rad
+    velocity_integral: float = 0.0  # 1/s, integral over proportional gain of the cascade's inner loop
 
 
 class Feedback(NamedTuple):
@@ -86,9 +85,13 @@ def pd_m_dob(a: LinearActuator, g: Gains) -> Feedback:
 
 
 def cascade(a: LinearActuator, g: Gains) -> Feedback:
-    """Torque PI that asks an inner PI loop for motor velocity (Vallery et al. 2007, Kim 2018 §7.3.1)."""
-    inner = g.velocity_kp * S + g.velocity_ki
-    return Feedback(inner * (g.kp * S + g.ki) * a.stiffness, inner * S, S * S)
+    """Torque PI that asks an inner PI loop for motor velocity (Vallery et al. 2007, Kim 2018 §7.3.1).
+
+    Its gains are those of ``joint_firmware.laws.cascade``: kd is the inner loop's proportional gain P_v, kp and ki are
+    P_v times those of the torque's PI.
+    """
+    inner = S + g.velocity_integral
+    return Feedback(inner * (g.kp * S + g.ki) * a.stiffness, inner * g.kd * S, S * S)
 
 
 FEEDBACKS: Mapping[str, Callable[[LinearActuator, Gains], Feedback]] = {

@@ -19,48 +19,68 @@ from robots import pins
 from robots.description import Joint
 
 _NO_LIMIT = 1e9  # N m
+_TICKS = 100  # within which a law at rest stays as it is
 
 
-def gains_in(firmware: FirmwareConfig, gain_set: int) -> TorqueGains:
-    """The gains of ``bus.messages.GainSet``."""
-    return firmware.swing if gain_set == GainSet.SWING else firmware.stance
+def _gains(config: FirmwareConfig, gain_set: int) -> TorqueGains:
+    return config.swing if gain_set == GainSet.SWING else config.stance
 
 
-def sampled_law(joint: Joint, firmware: FirmwareConfig, gain_set: int = GainSet.STANCE) -> SampledLaw:
-    """From (theta [rad], deflection [rad], torque commanded [N m]) to motor torque [N m]."""
-    law = drive_law(joint, firmware)
-    gains = gains_in(firmware, gain_set)
-    x = np.zeros(len(law.states))
-    for name, value in {"active": 1.0, "started": 1.0, "kp": gains.kp, "ki": gains.ki, "kd": gains.kd}.items():
-        x[law.states.index(name)] = value
+def sampled_law(joint: Joint, firmware: FirmwareConfig, gain_set: int, at: float = 0.0) -> SampledLaw:
+    """From (motor coordinate [rad], deflection [rad], torque commanded [N m]) to motor torque [N m], at joint ``at``.
+
+    Raises ValueError for gains that the law itself refuses, and for a law that has no linearisation at rest.
+    """
+    config = firmware.of_joint(joint.name)
+    law, gains = drive_law(joint, config), _gains(config, gain_set)
     u = np.zeros(signals.INPUT_SIZE)
-    u[[signals.U_LIMIT, signals.U_TORQUE_MODE]] = _NO_LIMIT, 1.0
+    u[[signals.U_LIMIT, signals.U_TORQUE_MODE, signals.U_ENABLED]] = _NO_LIMIT, 1.0, 1.0
     u[[signals.U_KP, signals.U_KI, signals.U_KD]] = gains.kp, gains.ki, gains.kd
     counts = np.zeros(signals.COUNTS_SIZE)
-    a, b_counts, b_u, c, d_counts, d_u = (
-        np.array(part) for part in _jacobians(law.function)(counts, x, u, law.values(joint, firmware))
-    )
+    counts[pins.MOTOR_ENCODER] = motor_coordinate(joint, at) * joint.sensor.encoder
+    p = law.values(joint, config)
+    smooth = without_rounding(law.function)
+    x = _rest(smooth, counts, u, p)
+    a, b_counts, b_u, c, d_counts, d_u = (np.array(part) for part in _jacobians(smooth)(counts, x, u, p))
     encoders = [pins.MOTOR_ENCODER, pins.SPRING_ENCODER]
     scales = [joint.sensor.encoder, joint.spring_counts_per_rad]  # counts per rad
     torque = joint.actuator.ampere_per_count * joint.actuator.torque_per_ampere  # N m per count of current
-    return SampledLaw(
-        StateSpace(
-            a, np.hstack([b_counts[:, encoders] * scales, b_u[:, [signals.U_TORQUE]]]),
-            torque * c, torque * np.hstack([d_counts[:, encoders] * scales, d_u[:, [signals.U_TORQUE]]]),
-        ),
-        1.0 / firmware.rate,
+    system = StateSpace(
+        a, np.hstack([b_counts[:, encoders] * scales, b_u[:, [signals.U_TORQUE]]]),
+        torque * c, torque * np.hstack([d_counts[:, encoders] * scales, d_u[:, [signals.U_TORQUE]]]),
     )  # fmt: skip
+    if not all(np.isfinite(part).all() for part in system):
+        raise ValueError(f"{config.law} with velocities by {config.velocity_estimator} has no linearisation at rest")
+    return SampledLaw(system, 1.0 / config.rate)
 
 
-def gains_of(joint: Joint, firmware: FirmwareConfig, gain_set: int = GainSet.STANCE) -> Gains:
+def motor_coordinate(joint: Joint, q: float) -> float:
+    """phi = f(q), rad (``robots.actuators``)."""
+    linkage = joint.actuator.linkage
+    return q if linkage is None else float(linkage.motor_coordinate(q))
+
+
+def _rest(law: ca.Function, counts: np.ndarray, u: np.ndarray, p: np.ndarray) -> np.ndarray:
+    """The state in which the law stays."""
+    x = np.zeros(law.size1_in(1))
+    for _ in range(_TICKS):
+        before, x = x, np.array(law(counts, x, u, p)[0]).ravel()
+        if np.array_equal(before, x):
+            return x
+    raise ValueError("the law does not come to rest: is its velocity estimator one of time between edges?")
+
+
+def gains_of(joint: Joint, firmware: FirmwareConfig, gain_set: int) -> Gains:
     """The same settings for ``hil.joint_lab.continuous``."""
-    gains = gains_in(firmware, gain_set)
-    return Gains(gains.kp, gains.ki, gains.kd)
+    config = firmware.of_joint(joint.name)
+    gains = _gains(config, gain_set)
+    return Gains(
+        gains.kp, gains.ki, gains.kd, config.torque_rate_cutoff, config.observer_cutoff, config.velocity_integral
+    )
 
 
-def _jacobians(law: ca.Function) -> ca.Function:
+def _jacobians(smooth: ca.Function) -> ca.Function:
     """Of the next state and the current demanded [counts], with respect to state, counts and command."""
-    smooth = without_rounding(law)
     counts, x, u, p = (ca.SX.sym(name, smooth.size1_in(n)) for n, name in enumerate(("counts", "x", "u", "p")))
     x_next, y = smooth(counts, x, u, p)
     demand = y[signals.Y_DEMAND]

@@ -15,6 +15,7 @@ import numpy as np
 
 from hil.joint_lab.chirp import COHERENT, Chirp
 from hil.joint_lab.margins import Margins, Response, critical, frequencies
+from hil.joint_lab.step import StepResponse
 
 _LIMIT: dict[str, Any] = {"color": "tab:red", "linestyle": ":", "linewidth": 1.2}
 _TWO_PI = 2.0 * math.pi
@@ -124,6 +125,21 @@ def measured_loops(chirps: Mapping[str, Chirp], title: str, path: Path) -> None:
     phase.axhline(-180.0, **_LIMIT)
     phase.set(xlabel="frequency [Hz]", ylabel="phase of L [°]")
     phase.legend(fontsize=8, loc="lower left", title="phase margin as measured", title_fontsize=8)
+    figure.suptitle(title)
+    _save(figure, path)
+
+
+def steps(responses: Mapping[str, StepResponse], title: str, path: Path) -> None:
+    """Torque sensed over time, with the target and the band of five percent."""
+    figure, axes = _figure(1, 1, height=4.5)
+    for label, response in responses.items():
+        axes.plot(1e3 * response.seconds, response.torque, linewidth=1.1, label=label)
+    target = next(iter(responses.values())).target
+    axes.axhline(target, color="k", linestyle="--", linewidth=1.0, label="commanded")
+    for share in (0.95, 1.05):
+        axes.axhline(share * target, **_LIMIT)
+    axes.set(xlabel="t [ms]", ylabel="torque [N m]")
+    axes.legend(fontsize=8, loc="lower right")
     figure.suptitle(title)
     _save(figure, path)
 

@@ -8,8 +8,10 @@ from typing import NamedTuple
 
 import casadi as ca
 
+from bus.messages import GainSet
 from hil.joint_lab.actuator import LinearActuator, state_space
-from hil.joint_lab.sampled import SampledPlant, discretise
+from hil.joint_lab.law import sampled_law
+from hil.joint_lab.sampled import SampledLaw, SampledPlant, discretise
 from joint_firmware.config import FirmwareConfig
 from plant.bench import Inertia, Load, Locked
 from plant.config import SensorConfig
@@ -17,7 +19,7 @@ from robots.description import Joint, Robot
 
 
 def linear_actuator(joint: Joint, load: Load) -> LinearActuator:
-    """The linear model of ``joint`` with ``load``, without dry friction.
+    """The linear model of ``joint`` with ``load``, without dry friction, in equivalent rotary coordinates.
 
     Raises ValueError for a load that is not linear.
     """
@@ -26,8 +28,15 @@ def linear_actuator(joint: Joint, load: Load) -> LinearActuator:
     if isinstance(load, Locked):
         return clamped
     if isinstance(load, Inertia):
-        return clamped._replace(load=load.inertia, load_damping=load.damping)
+        seen = 1.0 / ratio(joint, load.at) ** 2  # through the linkage
+        return clamped._replace(load=seen * load.inertia, load_damping=seen * load.damping)
     raise ValueError("a pendulum is not linear: take locked or inertia=…")
+
+
+def ratio(joint: Joint, q: float) -> float:
+    """f'(q): torque on the joint per effort (``robots.actuators``)."""
+    linkage = joint.actuator.linkage
+    return 1.0 if linkage is None else float(linkage.ratio(q))
 
 
 class Timing(NamedTuple):
@@ -50,6 +59,7 @@ class Setup(NamedTuple):
     sensors: SensorConfig
     timing: Timing
     friction_scale: float = 1.0
+    gain_set: int = GainSet.STANCE
     seed: int = 0
     compile: Callable[[ca.Function], ca.Function] = lambda function: function
 
@@ -84,6 +94,15 @@ class Setup(NamedTuple):
         """What the drive's law acts on: an output takes effect one interrupt after it was computed, plus the extra
         delay. Raises ValueError for a load that is not linear."""
         return discretise(state_space(self.actuator()), self.period, self.period + self.timing.loop_delay)
+
+    def law(self) -> SampledLaw:
+        """The drive's law. Raises ValueError where it cannot be linearised."""
+        return sampled_law(self.joint, self.firmware, self.gain_set, self.load.at)
+
+    @property
+    def torque_per_deflection(self) -> float:
+        """What the drive reports per deflection, N m/rad."""
+        return ratio(self.joint, self.load.at) * self.joint.actuator.stiffness
 
     def delayed(self, loop_delay: float) -> Setup:
         """The same with ``loop_delay`` s between drive and actuator."""

@@ -27,9 +27,18 @@ class StepResponse(NamedTuple):
     target: float  # N m
 
     @property
-    def final(self) -> float:
-        """Mean of the last fifth, N m."""
-        return float(self.torque[self.seconds >= (1.0 - _SETTLED) * self.seconds[-1]].mean())
+    def _settled(self) -> np.ndarray:
+        return self.torque[self.seconds >= (1.0 - _SETTLED) * self.seconds[-1]]
+
+    @property
+    def steady_error(self) -> float:
+        """Target less the mean of the last fifth, N m."""
+        return self.target - float(self._settled.mean())
+
+    @property
+    def ripple(self) -> float:
+        """Half of what the torque still swings by in the last fifth, N m."""
+        return 0.5 * float(np.ptp(self._settled))
 
     @property
     def rise_time(self) -> float | None:
@@ -50,24 +59,17 @@ class StepResponse(NamedTuple):
         """Beyond the target, as a share of it; 0 when it stays below."""
         return max(float((self.torque / self.target).max()) - 1.0, 0.0)
 
-    @property
-    def steady_error(self) -> float:
-        """Target less what the torque has come to, N m."""
-        return self.target - self.final
 
-
-def run(
-    setup: Setup, target: float, duration: float, gain_set: int, directory: Path | None = None
-) -> StepResponse:
+def run(setup: Setup, target: float, duration: float, directory: Path | None = None) -> StepResponse:
     """Step the torque command from 0 to ``target`` N m and watch for ``duration`` s, with a bus log in ``directory``.
 
     Raises EmulationError when the drive does not bear it.
     """
     if directory is None:
         with TemporaryDirectory() as scratch:
-            return run(setup, target, duration, gain_set, Path(scratch))
+            return run(setup, target, duration, Path(scratch))
     wait = round(_BEFORE_S * setup.timing.servo_rate)
-    rig = Rig(setup, torque(lambda tick, _: target if tick >= wait else 0.0, gain_set), directory)
+    rig = Rig(setup, torque(lambda tick, _: target if tick >= wait else 0.0, setup.gain_set), directory)
     rig.run(_BOOT_S + _BEFORE_S + duration)
     rig.recorder.close()
     if rig.master.failure is not None:

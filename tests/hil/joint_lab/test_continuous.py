@@ -88,7 +88,7 @@ def test_with_a_delay_the_loops_are_those_of_5_12_to_5_20(law):
 @pytest.mark.parametrize("law", ["PD_f", "PD_m", "PID_m", "PD_m+DOB", "cascade"])
 @pytest.mark.parametrize("load", [math.inf, 300.0])
 def test_margins_are_those_of_python_control(law, load):
-    gains = GAINS if law != "cascade" else Gains(kp=2e-5, ki=2e-4, velocity_kp=2e5, velocity_ki=1e6)
+    gains = GAINS if law != "cascade" else GAINS._replace(ki=3.0, velocity_integral=5.0)
     actuator = VLCA._replace(load=load, load_damping=0.0 if math.isinf(load) else 2e3)
     rational = open_loop(law, actuator, gains)
     system = control.tf(rational.numerator.coef[::-1], rational.denominator.coef[::-1])
