@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hil.commands.joint_arguments import seconds
-from hil.commands.joint_lab_arguments import add_arguments, directory, laws_of, quantity, setup_of
+from hil.commands.joint_lab_arguments import OPEN_LOOP, add_arguments, directory, laws_of, quantity, setup_of
 from hil.errors import UserError
 
 if TYPE_CHECKING:
@@ -25,7 +25,9 @@ def add_parser(commands: Any) -> None:
         "--set world.friction_scale=1 puts it in.",
     )  # fmt: skip
     add_arguments(parser)
-    parser.add_argument("--law", default="all", metavar="LAW", help="PD_m, PD_m+DOB … or several with commas (all)")
+    parser.add_argument(
+        "--law", default="all", metavar="LAW", help="PD_m, PD_m+DOB … or several with commas; open: none (all)"
+    )
     parser.add_argument("--from", default="0.5Hz", metavar="HZ", dest="low", help="lowest frequency (0.5Hz)")
     parser.add_argument("--to", default="200Hz", metavar="HZ", dest="high", help="highest frequency (200Hz)")
     parser.add_argument("--amplitude", metavar="NM", help="of the torque, e.g. 5Nm (what the drive's limits allow)")
@@ -51,7 +53,7 @@ def _chirp(options: argparse.Namespace) -> int:
         raise UserError(f"--duration {options.duration}: expected at least two periods of the lowest frequency")
     found: dict[str, Chirp] = {}
     results: dict[str, dict[str, Any]] = {}
-    for law, of_law in laws_of(options, setup).items():
+    for law, of_law in laws_of(options, setup, open_loop=True).items():
         try:
             size = (
                 chirp.amplitude(of_law, high)
@@ -66,7 +68,9 @@ def _chirp(options: argparse.Namespace) -> int:
     if out is not None:
         title = f"{setup.robot.name} {setup.joint.name} at {setup.firmware.rate:g} Hz, load {options.load}"
         plots.responses(found, title, out / "chirp.png")
-        plots.measured_loops(found, title, out / "chirp-loop.png")
+        closed = {law: chirp for law, chirp in found.items() if law != OPEN_LOOP}
+        if closed:
+            plots.measured_loops(closed, title, out / "chirp-loop.png")
     if options.json:
         print(json.dumps(results, allow_nan=False))
     else:
@@ -99,6 +103,11 @@ def _summary(chirp: Chirp, amplitude: float) -> dict[str, Any]:
     }
 
 
+def _cell(part: dict[str, float]) -> str:
+    share = f"{100 * part['coherent_share']:.0f} %"
+    return f"{100 * part['magnitude_deviation']:6.2f} % {part['phase_deviation_deg']:6.2f}° of {share:>6}"
+
+
 def _print(setup: Setup, options: argparse.Namespace, results: dict[str, dict[str, Any]]) -> None:
     print(
         f"{setup.robot.name} {setup.joint.name}, load {options.load}, {setup.firmware.rate:g} Hz, friction × "
@@ -106,10 +115,7 @@ def _print(setup: Setup, options: argparse.Namespace, results: dict[str, dict[st
     )
     print(f"{'law':10} {'amplitude':>10}   {'torque':^28}   {'current':^28}   open loop, measured")
     for law, part in results.items():
-        cells = "   ".join(
-            f"{1e2 * p['magnitude_deviation']:6.2f} % {p['phase_deviation_deg']:6.2f}° of {1e2 * p['coherent_share']:4.0f} %"
-            for p in (part["torque"], part["current"])
-        )
+        cells = "   ".join(_cell(part[what]) for what in ("torque", "current"))
         margin = part["phase_margin_deg"]
         loop = "no crossover" if margin is None else f"{margin:.1f}° at {part['crossover_hz']:.1f} Hz"
         print(f"{law:10} {part['amplitude_nm']:6.2f} N m   {cells}   {loop}")

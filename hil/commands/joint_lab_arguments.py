@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 _CONTROLLER = ("controller.rate", "controller.phase", "controller.compute_time")
 _PHYSICS_STEPS = 20  # per interrupt of the drive: an experiment is compared with exact theory
-_ALL = "all"
+_ALL, OPEN_LOOP = "all", "open"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -69,8 +69,12 @@ def setup_of(options: argparse.Namespace, smooth: bool = False) -> Setup:
     )  # fmt: skip
 
 
-def laws_of(options: argparse.Namespace, setup: Setup) -> dict[str, Setup]:
-    """A setup for each law that --law names, or for all that drive such an actuator. Raises UserError."""
+def laws_of(options: argparse.Namespace, setup: Setup, open_loop: bool = False) -> dict[str, Setup]:
+    """A setup for each law that --law names, or for all; with ``open_loop`` the drive without one, too.
+
+    Raises UserError.
+    """
+    from bus.messages import Mode
     from hil.joint_lab.continuous import FEEDBACKS
     from hil.schema import nearest
     from joint_firmware.config import canonical_law
@@ -78,11 +82,16 @@ def laws_of(options: argparse.Namespace, setup: Setup) -> dict[str, Setup]:
 
     if isinstance(setup.joint.actuator, Hydraulic):
         raise UserError(f"{setup.robot.name} {setup.joint.name} is hydraulic: its valve has no linear theory here")
-    laws = list(FEEDBACKS) if options.law == _ALL else [canonical_law(name) for name in options.law.split(",")]
-    for law in laws:
-        if law not in FEEDBACKS:
-            raise UserError(f"--law {law}: no such torque loop{nearest(law, list(FEEDBACKS))}")
-    return {law: setup._replace(firmware=setup.firmware.model_copy(update={"law": law})) for law in laws}
+    known = {law: setup._replace(firmware=setup.firmware.model_copy(update={"law": law})) for law in FEEDBACKS}
+    if open_loop:
+        known[OPEN_LOOP] = setup._replace(mode=Mode.OPEN_LOOP)
+    if options.law.strip() == _ALL:
+        return known
+    chosen = [canonical_law(name.strip()) for name in options.law.split(",")]
+    for law in chosen:
+        if law not in known:
+            raise UserError(f"--law {law}: no such torque loop{nearest(law, [*known, _ALL])}")
+    return {law: known[law] for law in chosen}
 
 
 def quantity(options: argparse.Namespace, name: str, option: str, unit: str) -> float:

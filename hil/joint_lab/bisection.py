@@ -6,7 +6,6 @@ import math
 
 import numpy as np
 
-from hil.joint_lab.master import torque
 from hil.joint_lab.rig import TRUTH, Rig
 from hil.joint_lab.setup import Setup
 from hil.record.signals import Signals
@@ -28,7 +27,7 @@ def grows(setup: Setup, kick: float, omega: float) -> bool:
     ticks = max(round(_KICK_PERIODS * period * setup.timing.servo_rate), 1)
     window = _PERIODS * period
     start = _BOOT_S + (_KICK_PERIODS + 2.0) * period
-    rig = Rig(setup, torque(lambda tick, _: kick if tick < ticks else 0.0, setup.gain_set))
+    rig = Rig(setup, setup.torque_command(lambda tick, _: kick if tick < ticks else 0.0))
     rig.run(start + 2.0 * window)
     if rig.master.failure is not None:
         return True

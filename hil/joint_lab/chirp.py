@@ -24,7 +24,6 @@ from hil.joint_lab import log, sampled
 from hil.joint_lab.excitation import SIZES, Sweeps
 from hil.joint_lab.identification import Measured, frequency_response
 from hil.joint_lab.margins import Crossover
-from hil.joint_lab.master import torque
 from hil.joint_lab.rig import Rig
 from hil.joint_lab.setup import Setup
 
@@ -105,9 +104,8 @@ def run(setup: Setup, sweeps: Sweeps, offset: float = 0.0, directory: Path | Non
     rate = setup.timing.servo_rate
     excited = sweeps._replace(low=sweeps.low / _BEYOND, high=min(sweeps.high * _BEYOND, 0.45 * rate))
     samples = (offset + excited.samples(rate)).tolist()
-    rig = Rig(
-        setup, torque(lambda tick, _: samples[tick] if tick < len(samples) else offset, setup.gain_set), directory
-    )
+    command = setup.torque_command(lambda tick, _: samples[tick] if tick < len(samples) else offset)
+    rig = Rig(setup, command, directory)
     rig.run(_BOOT_S + len(samples) / rate)
     rig.recorder.close()
     if rig.master.failure is not None:
@@ -131,33 +129,43 @@ def evaluate(setup: Setup, sweeps: Sweeps, path: Path) -> Chirp:
         frequency_response(u, y[windows], pairs.rate, period, sweeps.low, sweeps.high)
         for y in (pairs.torques, pairs.currents)
     )
-    plant, law = setup.plant(), setup.law()
-    z = np.exp(1j * by_torque.omega / pairs.rate)
-    seen = sampled.response(sampled.at_reports(sampled.closed_loop(plant, law), ratio, pairs.offset), z)[:, :, 0]
-    stiffness, constant = setup.torque_per_deflection, joint.actuator.torque_per_ampere
-    direct, images = _forward(law, plant, by_torque.omega / pairs.rate, ratio, pairs.offset)
-    loop = by_current._replace(values=direct / (constant * by_current.values - images) - 1.0)
+    theory = _Theory(setup, pairs.offset, by_torque.fine / pairs.rate)
+    torque, current, direct, images, loop = map(by_torque.averaged, theory.responses())
+    measured_loop = by_current._replace(values=direct / (by_current.values - images) - 1.0)
     return Chirp(
-        Comparison(by_torque, stiffness * seen[:, 1]),
-        Comparison(by_current, seen[:, 2] / constant),
-        Comparison(loop, sampled.open_loop(plant, law, by_torque.omega)),
+        Comparison(by_torque, torque),
+        Comparison(by_current, current),
+        Comparison(measured_loop, loop),
         float(np.mean(exchange.limited[exchange.report_ticks >= exchange.command_ticks[0]])),
     )
 
 
-def _forward(
-    law: sampled.SampledLaw, plant: sampled.SampledPlant, angle: np.ndarray, ratio: int, offset: int
-) -> tuple[np.ndarray, np.ndarray]:
-    """From torque commanded to the motor torque that the current sensor sees, with the loop cut at the sensors.
+class _Theory:
+    """What the setup's linear model says at ``angle``, rad per report (n,)."""
 
-    ``angle``: of the reports, rad per report (n,). Returns what comes of a command's own frequency and of the images
-    that the hold over ``ratio`` samples makes, each (n,).
-    """
-    blind = np.vstack([0.0 * plant.system.c[:-1], plant.system.c[-1:]])
-    whole = sampled.closed_loop(plant._replace(system=plant.system._replace(c=blind)), law)
-    parts = []
-    for image in range(ratio):
-        z = np.exp(1j * (angle + 2.0 * np.pi * image) / ratio)
-        hold = sum(z**-k for k in range(offset, offset + ratio)) / ratio
-        parts.append(hold * sampled.response(whole, z)[:, -2, 0])
-    return parts[0], sum(parts[1:], np.zeros_like(parts[0]))
+    def __init__(self, setup: Setup, offset: int, angle: np.ndarray) -> None:
+        self._plant, self._law = setup.plant(), setup.law()
+        self._stiffness, self._constant = setup.torque_per_deflection, setup.joint.actuator.torque_per_ampere
+        self._ratio, self._offset, self._angle = setup.ticks_per_report, offset, angle
+
+    def responses(self) -> tuple[np.ndarray, ...]:
+        """Torque [N m] and current [A] reported over torque commanded, of the current what is ``forward``, in two parts,
+        and the open loop."""
+        seen = sampled.at_reports(sampled.closed_loop(self._plant, self._law), self._ratio, self._offset)
+        closed = sampled.response(seen, np.exp(1j * self._angle))[:, :, 0]
+        direct, images = (part / self._constant for part in self._forward())
+        loop = sampled.open_loop(self._plant, self._law, self._angle / (self._ratio * self._plant.period))
+        return self._stiffness * closed[:, 1], closed[:, 2] / self._constant, direct, images, loop
+
+    def _forward(self) -> tuple[np.ndarray, np.ndarray]:
+        """From torque commanded to the motor torque that the current sensor sees, with the loop cut at the sensors:
+        what comes of a command's own frequency, and of the images that the hold between two reports makes."""
+        system = self._plant.system
+        blind = system._replace(c=np.vstack([0.0 * system.c[:-1], system.c[-1:]]))
+        whole = sampled.closed_loop(self._plant._replace(system=blind), self._law)
+        parts = []
+        for image in range(self._ratio):
+            z = np.exp(1j * (self._angle + 2.0 * np.pi * image) / self._ratio)
+            hold = sum(z**-k for k in range(self._offset, self._offset + self._ratio)) / self._ratio
+            parts.append(hold * sampled.response(whole, z)[:, -2, 0])
+        return parts[0], sum(parts[1:], np.zeros_like(parts[0]))

@@ -11,11 +11,18 @@ _BANDS_PER_OCTAVE = 24
 
 
 class Measured(NamedTuple):
-    """Responses at ``omega`` rad/s, (n,)."""
+    """Responses at ``omega`` rad/s, (n,): averages over bands of finer frequencies."""
 
     omega: np.ndarray
     values: np.ndarray  # complex
     coherence: np.ndarray  # in [0, 1]
+    fine: np.ndarray  # rad/s, (m,): the frequencies that were averaged
+    weights: np.ndarray  # (m,) of each in its band's average
+    starts: np.ndarray  # (n,) where each band begins
+
+    def averaged(self, values: np.ndarray) -> np.ndarray:
+        """``values`` at the finer frequencies (m,) averaged as the measured ones were, (n,)."""
+        return np.add.reduceat(self.weights * values, self.starts)
 
 
 def frequency_response(u: np.ndarray, y: np.ndarray, rate: float, period: int, low: float, high: float) -> Measured:
@@ -32,11 +39,13 @@ def frequency_response(u: np.ndarray, y: np.ndarray, rate: float, period: int, l
     band = np.floor(_BANDS_PER_OCTAVE * np.log2(hertz[inside] / low))
     starts = np.flatnonzero(np.diff(band, prepend=-1.0))
 
-    def averaged(spectrum: np.ndarray) -> np.ndarray:
-        return np.add.reduceat(spectrum[inside], starts)
-
-    weight = averaged(inputs)
-    centre = averaged(inputs * hertz) / weight
-    values = averaged(cross) / weight
-    coherence = np.abs(averaged(cross)) ** 2 / (weight * averaged(outputs))
-    return Measured(2.0 * np.pi * centre, values, coherence)
+    cross, inputs, outputs = cross[inside], inputs[inside], outputs[inside]
+    total = np.add.reduceat(inputs, starts)
+    weights = inputs / np.repeat(total, np.diff(starts, append=len(inside)))
+    size = np.abs(np.add.reduceat(cross, starts)) ** 2
+    fine = 2.0 * np.pi * hertz[inside]
+    measured = Measured(
+        np.empty(0), np.add.reduceat(cross, starts) / total, size / (total * np.add.reduceat(outputs, starts)),
+        fine, weights, starts,
+    )  # fmt: skip
+    return measured._replace(omega=measured.averaged(fine))

@@ -1,7 +1,7 @@
 """A drive's law, linearised where it is implemented, so that theory and firmware cannot part.
 
 What is linearised is the very function that the firmware evaluates, from encoder counts to current counts, at rest and
-enabled in cyclic synchronous torque; only the rounding to counts is left out.
+enabled; only the rounding to counts is left out.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 
-from bus.messages import GainSet
+from bus.messages import GainSet, Mode
 from hil.joint_lab.actuator import StateSpace
 from hil.joint_lab.continuous import Gains
 from hil.joint_lab.sampled import SampledLaw
@@ -19,6 +19,7 @@ from robots import pins
 from robots.description import Joint
 
 _NO_LIMIT = 1e9  # N m
+_WEIGHTS = {Mode.TORQUE: signals.U_TORQUE_MODE, Mode.OPEN_LOOP: signals.U_OPEN_LOOP_MODE}
 _TICKS = 100  # within which a law at rest stays as it is
 
 
@@ -26,15 +27,19 @@ def _gains(config: FirmwareConfig, gain_set: int) -> TorqueGains:
     return config.swing if gain_set == GainSet.SWING else config.stance
 
 
-def sampled_law(joint: Joint, firmware: FirmwareConfig, gain_set: int, at: float = 0.0) -> SampledLaw:
+def sampled_law(
+    joint: Joint, firmware: FirmwareConfig, gain_set: int, mode: int = Mode.TORQUE, at: float = 0.0
+) -> SampledLaw:
     """From (motor coordinate [rad], deflection [rad], torque commanded [N m]) to motor torque [N m], at joint ``at``.
+
+    ``mode`` is Mode.TORQUE, or Mode.OPEN_LOOP for the drive without its torque loop.
 
     Raises ValueError for gains that the law itself refuses, and for a law that has no linearisation at rest.
     """
     config = firmware.of_joint(joint.name)
     law, gains = drive_law(joint, config), _gains(config, gain_set)
     u = np.zeros(signals.INPUT_SIZE)
-    u[[signals.U_LIMIT, signals.U_TORQUE_MODE, signals.U_ENABLED]] = _NO_LIMIT, 1.0, 1.0
+    u[[signals.U_LIMIT, _WEIGHTS[mode], signals.U_ENABLED]] = _NO_LIMIT, 1.0, 1.0
     u[[signals.U_KP, signals.U_KI, signals.U_KD]] = gains.kp, gains.ki, gains.kd
     counts = np.zeros(signals.COUNTS_SIZE)
     counts[pins.MOTOR_ENCODER] = motor_coordinate(joint, at) * joint.sensor.encoder

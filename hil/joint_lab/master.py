@@ -20,11 +20,6 @@ _ANSWERS = {  # CiA 402: the way to OPERATION ENABLED
 Command = Callable[[int, State], Setpoint]
 
 
-def torque(of: Callable[[int, State], float], gain_set: int = messages.GainSet.STANCE) -> Command:
-    """A command in cyclic synchronous torque: ``of(tick, state)`` in N m."""
-    return lambda tick, state: Setpoint(mode=Mode.TORQUE, gain_set=gain_set, torque=of(tick, state))
-
-
 class Master:
     """Answers each servo tick with a command frame. A drive that drops out of operation is not brought back.
 

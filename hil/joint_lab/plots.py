@@ -53,7 +53,7 @@ def bode(curves: Mapping[str, Curve], title: str, path: Path) -> None:
             phase.plot(at, foot, "o", color=line.get_color(), markersize=5)
         phase.semilogx(hertz, degrees, linewidth=1.2, color=line.get_color(), label=text)
     size.axhline(1.0, **_LIMIT)
-    size.set(ylabel="|L|", ylim=(1e-3, 1e4))
+    size.set(ylabel="|L|", xlim=(0.1, 2000.0), ylim=(1e-3, 1e4))
     phase.axhline(-180.0, **_LIMIT)
     phase.set(xlabel="frequency [Hz]", ylabel="phase of L [°]", ylim=(-400.0, 10.0), yticks=range(-360, 1, 90))
     phase.legend(fontsize=8, loc="lower left", title="phase margin", title_fontsize=8)
@@ -124,7 +124,7 @@ def measured_loops(chirps: Mapping[str, Chirp], title: str, path: Path) -> None:
     size.set(ylabel="|L|")
     phase.axhline(-180.0, **_LIMIT)
     phase.set(xlabel="frequency [Hz]", ylabel="phase of L [°]")
-    phase.legend(fontsize=8, loc="lower left", title="phase margin as measured", title_fontsize=8)
+    phase.legend(fontsize=8, loc="best", title="phase margin as measured", title_fontsize=8)
     figure.suptitle(title)
     _save(figure, path)
 

@@ -8,9 +8,10 @@ from typing import NamedTuple
 
 import casadi as ca
 
-from bus.messages import GainSet
+from bus.messages import GainSet, Mode, Setpoint, State
 from hil.joint_lab.actuator import LinearActuator, state_space
 from hil.joint_lab.law import sampled_law
+from hil.joint_lab.master import Command
 from hil.joint_lab.sampled import SampledLaw, SampledPlant, discretise
 from joint_firmware.config import FirmwareConfig
 from plant.bench import Inertia, Load, Locked
@@ -60,6 +61,7 @@ class Setup(NamedTuple):
     timing: Timing
     friction_scale: float = 1.0
     gain_set: int = GainSet.STANCE
+    mode: int = Mode.TORQUE  # or OPEN_LOOP: without a torque loop
     seed: int = 0
     compile: Callable[[ca.Function], ca.Function] = lambda function: function
 
@@ -90,6 +92,10 @@ class Setup(NamedTuple):
         """Raises ValueError for a load that is not linear."""
         return linear_actuator(self.joint, self.load)
 
+    def torque_command(self, of: Callable[[int, State], float]) -> Command:
+        """A master's command: ``of(servo tick, state)`` in N m."""
+        return lambda tick, state: Setpoint(mode=self.mode, gain_set=self.gain_set, torque=of(tick, state))
+
     def plant(self) -> SampledPlant:
         """What the drive's law acts on: an output takes effect one interrupt after it was computed, plus the extra
         delay. Raises ValueError for a load that is not linear."""
@@ -97,7 +103,7 @@ class Setup(NamedTuple):
 
     def law(self) -> SampledLaw:
         """The drive's law. Raises ValueError where it cannot be linearised."""
-        return sampled_law(self.joint, self.firmware, self.gain_set, self.load.at)
+        return sampled_law(self.joint, self.firmware, self.gain_set, self.mode, self.load.at)
 
     @property
     def torque_per_deflection(self) -> float:

@@ -10,7 +10,6 @@ import numpy as np
 
 from hil.errors import EmulationError
 from hil.joint_lab import log
-from hil.joint_lab.master import torque
 from hil.joint_lab.rig import Rig
 from hil.joint_lab.setup import Setup
 
@@ -69,7 +68,7 @@ def run(setup: Setup, target: float, duration: float, directory: Path | None = N
         with TemporaryDirectory() as scratch:
             return run(setup, target, duration, Path(scratch))
     wait = round(_BEFORE_S * setup.timing.servo_rate)
-    rig = Rig(setup, torque(lambda tick, _: target if tick >= wait else 0.0, setup.gain_set), directory)
+    rig = Rig(setup, setup.torque_command(lambda tick, _: target if tick >= wait else 0.0), directory)
     rig.run(_BOOT_S + _BEFORE_S + duration)
     rig.recorder.close()
     if rig.master.failure is not None:
