@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal, NamedTuple, get_args
 
-from pydantic import BeforeValidator, Field
+from pydantic import AfterValidator, BeforeValidator, Field
 
 from bus.messages import GainSet
+from joint_firmware.protection_config import ProtectionConfig
 from robots.description import Joint
 from robots.quantities import (
     Config,
@@ -64,6 +65,13 @@ class JointConfig(Config):
     encoder_offset: Radians = 0.0  # what its absolute encoder reads at 0 rad
 
 
+def _with_a_difference(joints: dict[str, JointConfig]) -> dict[str, JointConfig]:
+    return {name: own for name, own in joints.items() if own != JointConfig()}
+
+
+JointConfigs = Annotated[dict[str, JointConfig], AfterValidator(_with_a_difference)]
+
+
 class FirmwareConfig(Config):
     """One set for all drives of a robot; what differs by joint is in ``joints`` and in its description."""
 
@@ -80,7 +88,7 @@ class FirmwareConfig(Config):
     velocity_window: Seconds = 0.002  # M, M/T: gate time
     stance: TorqueGains = TorqueGains(kp=3.0, ki=0.0, kd="10 N m s/rad")  # type: ignore[arg-type]
     swing: TorqueGains = TorqueGains(kp=4.0, ki=20.0, kd="10 N m s/rad")  # type: ignore[arg-type]
-    joints: dict[str, JointConfig] = Field(default_factory=dict)
+    joints: JointConfigs = Field(default_factory=dict)
     torque_rate_cutoff: Hertz = 60.0  # PD_f, valve: of the sensed torque's derivative; not printed in Kim 2018
     observer_cutoff: Hertz = 15.0  # PD_m+DOB: Kim 2018 §5.3.2
     velocity_integral: Gain = 20.0  # cascade, 1/s: integral over proportional gain of the inner velocity loop
@@ -95,6 +103,7 @@ class FirmwareConfig(Config):
     impedance_stiffness: TorquePerRadian = 30.0  # of the joint in impedance
     impedance_damping: TorquePerRate = 3.0
     soft_stop_stiffness: Gain = 200.0  # N m/rad beyond a joint limit
+    protection: ProtectionConfig = ProtectionConfig()
 
     def of_joint(self, name: str) -> FirmwareConfig:
         """That of one joint's drive."""

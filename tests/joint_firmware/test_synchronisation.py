@@ -179,7 +179,8 @@ def test_an_offset_that_a_master_writes_acts_at_once(which, share, wrong):
 
 def test_an_offset_is_not_changed_under_power():
     drive = Powered().boot()
-    for counter, word in enumerate((Controlword.SHUTDOWN, Controlword.SWITCH_ON, Controlword.ENABLE_OPERATION), start=1):
+    way = Controlword.SHUTDOWN, Controlword.SWITCH_ON, Controlword.ENABLE_OPERATION
+    for counter, word in enumerate(way, start=1):
         slots = [messages.Setpoint(word)] * messages.SLOTS
         drive.tick(Frame(messages.COMMAND, messages.encode_command(counter, slots)))
     assert drive.firmware.powered

@@ -2,15 +2,13 @@
 
 import math
 
-import casadi as ca
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from joint_firmware.config import FirmwareConfig
-from joint_firmware.laws.block import symbols, vector
-from joint_firmware.laws.velocity import ESTIMATORS
+from joint_firmware.laws.velocity import ESTIMATORS, estimator_function
 from tests.joint_firmware.laws.rig import DT, Drive
 
 STEP = 1e-4  # rad per count
@@ -18,19 +16,12 @@ STEP = 1e-4  # rad per count
 
 def estimate(method, positions, **config):
     """Velocity of every tick from ``positions`` [rad], which an encoder of STEP has quantised."""
-    estimator = ESTIMATORS[method]("motor")
-    x, p = symbols(estimator.states), symbols(estimator.parameters)
-    value, started = ca.SX.sym("value"), ca.SX.sym("started")
-    velocity, after = estimator.estimate(value, started, ca.SX(STEP), x, p)
-    states = ca.vertcat(*[after[name] for name in estimator.states])
-    step = ca.Function(
-        "step", [value, started, vector(x, estimator.states), vector(p, estimator.parameters)], [states, velocity]
-    )
+    estimator, step = ESTIMATORS[method]("motor"), estimator_function(method)
     values = estimator.settings(FirmwareConfig(**config))
     parameters = [values[name] for name in estimator.parameters]
     state, trace = np.zeros(len(estimator.states)), []
     for n, position in enumerate(positions):
-        state, out = step(STEP * math.floor(position / STEP), float(n > 0), state, parameters)
+        state, out = step(STEP * math.floor(position / STEP), float(n > 0), STEP, state, parameters)
         trace.append(float(out))
     return np.array(trace)
 
@@ -69,7 +60,7 @@ def test_t_is_within_one_tick_per_count(ticks, sign, phase):
 
 @given(velocities, st.integers(2, 30), st.floats(0, 1))
 def test_m_t_is_within_one_tick_per_gate(velocity, gate, phase):
-    """Its gate is at least the configured one and ends with an edge: m counts in a time known to a tick at either end."""
+    """Its gate is at least the configured one and ends with an edge: the time of its counts is known to a tick."""
     settle = 2 * gate + 3 * periods(velocity) + 5
     got = estimate("M/T", at(velocity, (settle + 200) * DT, phase), velocity_window=f"{gate * DT!r} s")[round(settle) :]
     time = max(gate, math.floor(periods(velocity)))
