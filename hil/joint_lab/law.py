@@ -16,6 +16,7 @@ from hil.joint_lab.sampled import SampledLaw
 from joint_firmware.config import FirmwareConfig, TorqueGains
 from joint_firmware.laws import drive_law, signals
 from robots import pins
+from robots.actuators import Hydraulic
 from robots.description import Joint
 
 _NO_LIMIT = 1e9  # N m
@@ -30,7 +31,8 @@ def _gains(config: FirmwareConfig, gain_set: int) -> TorqueGains:
 def sampled_law(
     joint: Joint, firmware: FirmwareConfig, gain_set: int, mode: int = Mode.TORQUE, at: float = 0.0
 ) -> SampledLaw:
-    """From (motor coordinate [rad], deflection [rad], torque commanded [N m]) to motor torque [N m], at joint ``at``.
+    """From (motor coordinate [rad], deflection [rad], torque commanded [N m]) to motor torque [N m], at joint ``at``;
+    of a hydraulic joint from (joint angle [rad], effort [N m], torque commanded [N m]) to the valve's effort.
 
     ``mode`` is Mode.TORQUE, or Mode.OPEN_LOOP for the drive without its torque loop.
 
@@ -43,16 +45,21 @@ def sampled_law(
     u[[signals.U_KP, signals.U_KI, signals.U_KD]] = gains.kp, gains.ki, gains.kd
     counts = np.zeros(signals.COUNTS_SIZE)
     counts[pins.MOTOR_ENCODER] = motor_coordinate(joint, at) * joint.sensor.encoder
+    counts[pins.JOINT_ENCODER] = at * joint.sensor.joint_encoder
     p = law.values(joint, config)
     smooth = without_rounding(law.function)
     x = _rest(smooth, counts, u, p)
     a, b_counts, b_u, c, d_counts, d_u = (np.array(part) for part in _jacobians(smooth)(counts, x, u, p))
-    encoders = [pins.MOTOR_ENCODER, pins.SPRING_ENCODER]
-    scales = [joint.sensor.encoder, joint.spring_counts_per_rad]  # counts per rad
+    if isinstance(joint.actuator, Hydraulic):
+        sensors = [pins.JOINT_ENCODER, pins.FORCE_ADC]
+        scales = [joint.sensor.joint_encoder, 1.0 / joint.sensor.force_resolution]  # counts per rad, per N m
+    else:
+        sensors = [pins.MOTOR_ENCODER, pins.SPRING_ENCODER]
+        scales = [joint.sensor.encoder, joint.spring_counts_per_rad]  # counts per rad
     torque = joint.actuator.ampere_per_count * joint.actuator.torque_per_ampere  # N m per count of current
     system = StateSpace(
-        a, np.hstack([b_counts[:, encoders] * scales, b_u[:, [signals.U_TORQUE]]]),
-        torque * c, torque * np.hstack([d_counts[:, encoders] * scales, d_u[:, [signals.U_TORQUE]]]),
+        a, np.hstack([b_counts[:, sensors] * scales, b_u[:, [signals.U_TORQUE]]]),
+        torque * c, torque * np.hstack([d_counts[:, sensors] * scales, d_u[:, [signals.U_TORQUE]]]),
     )  # fmt: skip
     if not all(np.isfinite(part).all() for part in system):
         raise ValueError(f"{config.law} with velocities by {config.velocity_estimator} has no linearisation at rest")
