@@ -61,7 +61,7 @@ def _chirp(options: argparse.Namespace) -> int:
                 else quantity(options, "amplitude", "--amplitude", "N m")
             )
         except ValueError as error:
-            raise UserError(f"--load {options.load}: {error}") from None
+            raise UserError(str(error)) from None
         sweeps = Sweeps(low, high, duration, size)
         found[law] = chirp.run(of_law, sweeps, quantity(options, "offset", "--offset", "N m"), _below(out, law))
         results[law] = _summary(found[law], size)

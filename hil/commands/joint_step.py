@@ -81,7 +81,10 @@ def _experiments(options: argparse.Namespace, setup: Setup) -> Iterator[tuple[di
     tables = options.tables or (["2.1", "7.1", _FIRMWARE] if known else [_FIRMWARE])
     sets = ("stance", "swing") if options.gains == _BOTH else (options.gains,)
     frictions = (True, False) if options.stiction == _BOTH else (options.stiction == "on",)
-    ((own_law, own),) = laws_of(options, setup).items()
+    own_laws = laws_of(options, setup)
+    if len(own_laws) != 1:
+        raise UserError(f"--law {options.law}: expected one torque loop")
+    ((own_law, own),) = own_laws.items()
     for table in tables:
         if table != _FIRMWARE and not known:
             raise UserError(f"--table {table}: the tables are of Hume's joints, not of {setup.robot.name} {joint.name}")

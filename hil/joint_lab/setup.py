@@ -31,7 +31,7 @@ def linear_actuator(joint: Joint, load: Load) -> LinearActuator:
     if isinstance(load, Inertia):
         seen = 1.0 / ratio(joint, load.at) ** 2  # through the linkage
         return clamped._replace(load=seen * load.inertia, load_damping=seen * load.damping)
-    raise ValueError("a pendulum is not linear: take locked or inertia=…")
+    raise ValueError("load: a pendulum is not linear, locked and inertia are")
 
 
 def ratio(joint: Joint, q: float) -> float:
