@@ -171,7 +171,7 @@ def _directory(out: Path | None, default: str) -> Path:
 
 def _run(options: argparse.Namespace) -> int:
     from hil.run import Request, run
-    from hil.scenario import load
+    from hil.scenario import load, notes
 
     settings = list(options.settings)
     if options.duration is not None:
@@ -203,6 +203,8 @@ def _run(options: argparse.Namespace) -> int:
     out = _directory(options.out, f"{scenario.name}-seed{options.seed}-{stamp}")
     from hil.control import serve_run
 
+    for note in notes(scenario):
+        print(f"hil: note: {note}", file=sys.stderr)
     request = Request(
         scenario, options.seed, options.backend, options.clock, out, video=options.video, zenoh=options.zenoh,
         log_formats=tuple(options.log_formats),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal, NamedTuple, get_args
 
-from pydantic import BeforeValidator, Field
+from pydantic import AfterValidator, BeforeValidator, Field
 
 from bus.messages import GainSet
 from robots.description import Joint
@@ -62,6 +62,13 @@ class JointGains(Config):
     swing: GainChange = GainChange()
 
 
+def _with_a_difference(joints: dict[str, JointGains]) -> dict[str, JointGains]:
+    return {name: own for name, own in joints.items() if own != JointGains()}
+
+
+JointsGains = Annotated[dict[str, JointGains], AfterValidator(_with_a_difference)]
+
+
 class FirmwareConfig(Config):
     """One set for all drives of a robot; what differs by joint is in ``joints`` and in its description."""
 
@@ -78,8 +85,8 @@ class FirmwareConfig(Config):
     velocity_window: Seconds = 0.002  # M, M/T: gate time
     stance: TorqueGains = TorqueGains(kp=3.0, ki=0.0, kd="10 N m s/rad")  # type: ignore[arg-type]
     swing: TorqueGains = TorqueGains(kp=4.0, ki=20.0, kd="10 N m s/rad")  # type: ignore[arg-type]
-    joints: dict[str, JointGains] = Field(default_factory=dict)
-    torque_rate_cutoff: Hertz = 100.0  # PD_f, valve: of the sensed torque's derivative; that of Valkyrie's torque loops
+    joints: JointsGains = Field(default_factory=dict)
+    torque_rate_cutoff: Hertz = 60.0  # PD_f, valve: of the sensed torque's derivative; not printed in Kim 2018
     observer_cutoff: Hertz = 15.0  # PD_m+DOB: Kim 2018 §5.3.2
     velocity_integral: Gain = 20.0  # cascade, 1/s: integral over proportional gain of the inner velocity loop
     velocity_compensation: Probability = 0.0  # valve: share of the piston's flow that is fed forward

@@ -11,7 +11,7 @@ import struct
 from collections.abc import Iterator
 
 from bus import messages
-from bus.messages import GainSet, Setpoint, State
+from bus.messages import GainSet, Mode, Setpoint, State
 from joint_firmware.config import FirmwareConfig, TorqueGains
 from joint_firmware.object_dictionary import (
     DataType,
@@ -147,6 +147,12 @@ def _gains(index: int, name: str, gains: TorqueGains) -> Object:
     ])  # fmt: skip
 
 
+def _supported_modes() -> int:
+    """0x6502: bit n − 1 is mode n of CiA 402, bit 15 + n the manufacturer's mode −n."""
+    numbers = [number for name, number in vars(Mode).items() if name.isupper() and number != Mode.NONE]
+    return sum(1 << (n - 1 if n > 0 else 15 - n) for n in numbers)
+
+
 def _scale(name: str, counts_per_rad: float) -> Variable:
     """A calibrated scale: within a factor of two, and never with the other sign, which would turn the loop over."""
     low, high = sorted((0.5 * counts_per_rad, 2.0 * counts_per_rad))
@@ -157,12 +163,27 @@ def _own(joint: Joint, config: FirmwareConfig) -> Iterator[Object]:
     yield _gains(0x2000, "Torque gains, stance", config.stance)
     yield _gains(0x2001, "Torque gains, swing", config.swing)
     yield variable(0x2002, Variable("Gain set without PDO", _U8, "rw", GainSet.STANCE, 0, 1))
+    yield record(0x2003, "Control law", [
+        _constant("Torque loop", _TEXT, config.law),
+        _constant("Velocity estimator", _TEXT, config.velocity_estimator),
+    ])  # fmt: skip
     yield variable(0x2010, _parameter("Command watchdog", config.watchdog, 1e-3, 1.0, "s"))
     yield variable(0x2011, _parameter("Torque rate limit", config.torque_rate, 1.0, 1e6, "N m/s"))
     yield variable(0x2012, _parameter("Soft stop stiffness", config.soft_stop_stiffness, 0.0, 1e4, "N m/rad"))
     yield variable(0x2013, _parameter("Quick stop damping", config.quick_stop_damping, 0.0, 1e3, "N m s/rad"))
     yield variable(0x2014, _parameter("Position stiffness", config.position_stiffness, 0.0, 1e4, "N m/rad"))
     yield variable(0x2015, _parameter("Position damping", config.position_damping, 0.0, 1e3, "N m s/rad"))
+    yield variable(0x2016, _parameter("Joint stiffness", config.joint_stiffness, 0.0, 1e4, "N m/rad"))
+    yield variable(0x2017, _parameter("Joint damping", config.joint_damping, 0.0, 1e3, "N m s/rad"))
+    yield variable(0x2018, _parameter("Impedance stiffness", config.impedance_stiffness, 0.0, 1e4, "N m/rad"))
+    yield variable(0x2019, _parameter("Impedance damping", config.impedance_damping, 0.0, 1e3, "N m s/rad"))
+    fastest = 0.4 * config.rate
+    yield variable(0x201A, _parameter("Torque rate cutoff", config.torque_rate_cutoff, 0.1, fastest, "Hz"))
+    yield variable(0x201B, _parameter("Observer cutoff", config.observer_cutoff, 0.1, fastest, "Hz"))
+    yield variable(0x201C, _parameter("Velocity integral", config.velocity_integral, 0.0, 1e4, "1/s"))
+    yield variable(0x201D, _parameter("Velocity compensation", config.velocity_compensation, 0.0, 1.0))
+    bias = joint.actuator.current_limit
+    yield variable(0x201E, _parameter("Valve bias", config.valve_bias, -bias, bias, "A"))
     yield record(0x2020, "Calibration", [
         _scale("Motor encoder scale", joint.sensor.encoder),
         _parameter("Motor encoder offset", 0.0, -1.0, 1.0, "rad"),
@@ -205,4 +226,4 @@ def _device(joint: Joint, config: FirmwareConfig) -> Iterator[Object]:
         Variable("Min position limit", _I32, "rw", low, low, high, **position),  # type: ignore[arg-type]
         Variable("Max position limit", _I32, "rw", high, low, high, **position),  # type: ignore[arg-type]
     ], ObjectType.ARRAY)  # fmt: skip
-    yield variable(0x6502, _constant("Supported drive modes", _U32, 1 << 16 | 1 << 9 | 1 << 7))  # own damping, cst, csp
+    yield variable(0x6502, _constant("Supported drive modes", _U32, _supported_modes()))

@@ -8,7 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 from bus import messages
 from joint_firmware import objects
+from joint_firmware.config import FirmwareConfig
 from joint_firmware.eds import eds
+from joint_firmware.laws import doubts
 from joint_firmware.laws import signals as law
 from joint_firmware.object_dictionary import AbortCode, ObjectDictionary, SdoAbort
 from robots import pins
@@ -105,17 +107,24 @@ def _device(dictionary: ObjectDictionary, drive: JointFirmware) -> None:
 def _parameters(dictionary: ObjectDictionary, drive: JointFirmware) -> None:
     """The drive's own parameters: each is a value of its settings."""
 
+    def accept(config: FirmwareConfig) -> None:
+        try:
+            doubts(drive.settings.joint, config)
+        except ValueError:  # unstable
+            raise SdoAbort(AbortCode.VALUE) from None
+        drive.configure(config=config)
+
     def gain(index: int, sub: int, which: str, name: str) -> None:
         def write(value: float) -> None:
             config = drive.settings.config
             gains = getattr(config, which).model_copy(update={name: value})
-            drive.configure(config=config.model_copy(update={which: gains}))
+            accept(config.model_copy(update={which: gains}))
 
         dictionary.connect(index, sub, lambda: getattr(getattr(drive.settings.config, which), name), write)
 
     def parameter(index: int, name: str) -> None:
         def write(value: float) -> None:
-            drive.configure(config=drive.settings.config.model_copy(update={name: value}))
+            accept(drive.settings.config.model_copy(update={name: value}))
 
         dictionary.connect(index, 0, lambda: getattr(drive.settings.config, name), write)
 
@@ -137,7 +146,9 @@ def _parameters(dictionary: ObjectDictionary, drive: JointFirmware) -> None:
     dictionary.connect(0x2002, 0, lambda: drive.settings.gain_set, lambda v: drive.configure(gain_set=int(v)))
     for index, name in enumerate(
         ("watchdog", "torque_rate", "soft_stop_stiffness", "quick_stop_damping", "position_stiffness",
-         "position_damping"), start=0x2010,
+         "position_damping", "joint_stiffness", "joint_damping", "impedance_stiffness", "impedance_damping",
+         "torque_rate_cutoff", "observer_cutoff", "velocity_integral", "velocity_compensation", "valve_bias"),
+        start=0x2010,
     ):  # fmt: skip
         parameter(index, name)
     calibration(1, lambda: drive.settings.joint.sensor.encoder, lambda v: sensor(encoder=v))

@@ -119,4 +119,8 @@ def drive_law(joint: Joint, config: FirmwareConfig) -> DriveLaw:
 
 def doubts(joint: Joint, config: FirmwareConfig) -> list[str]:
     """A sentence for each condition of the torque loop that its gains do not meet; raises as ``drive_law``."""
-    return TORQUE_LOOPS[config.law].doubts(joint, config)
+    loop, found = TORQUE_LOOPS[config.law], []
+    if loop.hydraulic != has_load_cell(joint):
+        made_for = "a hydraulic joint" if loop.hydraulic else "a motor behind a spring"
+        found.append(f"{joint.name}: firmware.law = {config.law!r} is made for {made_for}, not for this actuator")
+    return found + loop.doubts(joint, config)

@@ -43,5 +43,8 @@ class LowPass:
 
 
 def half_step(cutoff: float, dt: float) -> float:
-    """h of a cutoff [rad/s] at the step ``dt`` [s]."""
+    """h of a cutoff [rad/s] at the step ``dt`` [s]. Raises ValueError for one at or above half the rate."""
+    if cutoff * dt >= math.pi:
+        hertz = 0.5 / math.pi * cutoff
+        raise ValueError(f"cutoff of {hertz:g} Hz: expected less than half of the rate of {1 / dt:g} Hz")
     return math.tan(0.5 * cutoff * dt) / cutoff

@@ -46,6 +46,7 @@ class TorqueLoop(Block):
     """Base of the torque loops."""
 
     name: str
+    hydraulic = False  # made for a valve's flow, and not for a motor's torque
 
     def effort(self, s: LoopSignals, gains: Gains, x: Symbols, p: Symbols) -> ca.SX:
         """Motor torque, N m, before saturation."""

@@ -25,6 +25,7 @@ from robots.description import Joint
 
 class Valve(TorqueRate):
     name = "valve"
+    hydraulic = True
     states: tuple[str, ...] = ("integral", *TorqueRate.states)
     parameters: tuple[str, ...] = ("dt", *TorqueRate.parameters, "velocity_compensation", "valve_bias")
 

@@ -18,7 +18,7 @@ import math
 import casadi as ca
 
 from joint_firmware.config import FirmwareConfig
-from joint_firmware.laws.block import Block, Symbols, clip
+from joint_firmware.laws.block import Block, Symbols, clip, symbols, vector
 
 
 class VelocityEstimator(Block):
@@ -118,3 +118,20 @@ class EdgeToEdge(GatedByEdges):
 ESTIMATORS: dict[str, type[VelocityEstimator]] = {
     "filter": FilteredDifference, "M": Gated, "T": EdgeToEdge, "M/T": GatedByEdges,
 }  # fmt: skip
+
+
+def estimator_function(name: str) -> ca.Function:
+    """The estimator ``name`` alone: ``(value, started, resolution, x, p) -> (x_next, velocity)``.
+
+    ``x`` and ``p`` are its ``states`` and ``parameters``. Raises KeyError for an unknown name.
+    """
+    estimator = ESTIMATORS[name]("motor")
+    x, p = symbols(estimator.states), symbols(estimator.parameters)
+    value, started, resolution = (ca.SX.sym(name) for name in ("value", "started", "resolution"))
+    velocity, after = estimator.estimate(value, started, resolution, x, p)
+    return ca.Function(
+        "velocity_estimator",
+        [value, started, resolution, vector(x, estimator.states), vector(p, estimator.parameters)],
+        [ca.vertcat(*[after[state] for state in estimator.states]), velocity],
+        ["value", "started", "resolution", "x", "p"], ["x_next", "velocity"],
+    )  # fmt: skip

@@ -289,6 +289,29 @@ def test_a_master_enables_a_drive_and_commands_torque_by_sdo_alone(rig):
     assert (drive.state, drive.enabled) == (DriveState.READY_TO_SWITCH_ON, 0)
 
 
+@pytest.mark.parametrize("mode", [Mode.IMPEDANCE, Mode.JOINT_POSITION, Mode.MOTOR_POSITION, Mode.OPEN_LOOP])
+def test_any_mode_by_sdo_starts_with_set_points_that_move_nothing(rig, mode):
+    drive = rig.bench
+    drive.place(0.4, torque=12.0)
+    rig.run(2)
+    walk(rig, mode)
+    rig.run(100)
+    at_rest = -12.0 if mode in (Mode.IMPEDANCE, Mode.JOINT_POSITION) else 0.0  # kp (0 − tau): the spring is not relaxed
+    assert drive.motor_torque == pytest.approx(at_rest, abs=0.1)
+
+
+def test_stiffness_and_damping_of_impedance_are_commanded_by_sdo(rig):
+    drive, sdo = rig.bench, rig.node.sdo
+    drive.place(0.4)
+    rig.run(2)
+    walk(rig, Mode.IMPEDANCE)
+    sdo[0x607A].phys = 0.5
+    for stiffness in (20.0, 80.0):
+        sdo[0x2018].raw = stiffness
+        rig.run(100)
+        assert drive.motor_torque == pytest.approx((1 + 1.0) * stiffness * 0.1, abs=0.1)  # (1 + kp) tau_d
+
+
 def test_position_mode_by_sdo_starts_where_the_joint_is(rig):
     drive = rig.bench
     drive.place(0.4)
