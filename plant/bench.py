@@ -13,10 +13,13 @@ from plant.actuators.bank import ActuatorBank
 from plant.config import SensorConfig
 from plant.sensors import JointSensors
 from robots import pins
-from robots.description import Robot
+from robots.description import Joint, Robot
 from robots.quantities import Config, Kilograms, KilogramSquareMetres, Metres, Radians, TorquePerRate
 
-_STIFFEST = 0.25  # (rad)², of the spring's oscillation in a step: semi-implicit Euler is stable up to 4
+# of a load on the actuator's spring, in a step; semi-implicit Euler is stable while the first plus twice the second is
+# below 4
+_STIFFEST = 0.25  # rad², of its oscillation
+_MOST_DAMPED = 0.5  # share of its velocity that the damper takes
 
 
 class Locked(Config):
@@ -56,6 +59,14 @@ def _identity(function: ca.Function) -> ca.Function:
     return function
 
 
+def _lightest(joint: Joint, dt: float) -> float:
+    """Inertia, kg m², that a step of ``dt`` can still follow on the actuator's spring."""
+    a, ratio = joint.actuator, 1.0
+    if a.linkage is not None:
+        ratio = max(abs(float(a.linkage.ratio(q))) for q in np.linspace(*joint.limits, 50))
+    return ratio**2 * max(a.stiffness * dt**2 / _STIFFEST, a.damping * dt / _MOST_DAMPED)
+
+
 class Bench:
     """A joint's actuator (``plant.actuators``) and sensors (``plant.sensors``) with ``load`` on its output,
 
@@ -84,7 +95,7 @@ class Bench:
         self._dt = 1.0 / rate
         self._locked = isinstance(load, Locked)
         if not isinstance(load, Locked):
-            lightest = joint.actuator.stiffness * self._dt**2 / _STIFFEST
+            lightest = _lightest(joint, self._dt)
             if load.inertia < lightest:
                 raise ValueError(
                     f"inertia of {load.inertia:.3g} kg m²: expected at least {lightest:.2g} kg m², for the spring of "

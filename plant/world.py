@@ -48,12 +48,12 @@ class World:
     ) -> None:
         if config.variant is not None:
             robot = description.load(robot.source, config.variant)
-        if robot.imu is None:
-            raise ValueError(f"{robot.name} has no IMU: it is a test stand, not a robot that stands by itself")
         self.robot = robot
         self._config = config
         self._pushes = tuple((push, np.array(push.force)) for push in pushes)
         start = stances.initial(robot, stance)
+        if robot.imu is None:
+            raise stances.StanceError(f"standing needs an IMU in the torso; {robot.name} has none")
         self.model = build(robot, start, terrain, config.planarizer, config.rate)
         self.data = mujoco.MjData(self.model)
         n = len(robot.joints)
@@ -132,7 +132,8 @@ class World:
         row[3 * n : 4 * n] = act.motor_velocity
         row[4 * n : 5 * n] = act.torque
         row[5 * n : 6 * n] = act.current
-        at = 6 * n
+        row[6 * n : 7 * n] = act.temperature
+        at = 7 * n
         row[at : at + 3] = sensed[0:3]
         row[at + 3 : at + 6] = self._roll_pitch_yaw()
         row[at + 6 : at + 24] = sensed[3:21]  # com, com_velocity, feet, contacts
@@ -156,7 +157,7 @@ class World:
         joints = self.robot.joint_names
         names = [
             f"{what}.{joint}"
-            for what in ("q", "dq", "motor", "dmotor", "spring_torque", "motor_current")
+            for what in ("q", "dq", "motor", "dmotor", "spring_torque", "motor_current", "winding")
             for joint in joints
         ]
         names += [f"base.{axis}" for axis in ("x", "y", "z", "roll", "pitch", "yaw")]

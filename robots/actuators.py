@@ -19,7 +19,7 @@ Positive = Annotated[float, Field(gt=0)]
 NonNegative = Annotated[float, Field(ge=0)]
 
 AMBIENT = 25.0  # °C, at which data sheets give resistances
-COPPER = 0.00393  # 1/K, rise of a winding's resistance from there
+COPPER = 0.00393  # 1/K, by which the resistance of copper grows over that at 25 °C
 
 # Current that liquid cooling lets flow for as long as one likes, over that of air (Kim 2018 §5.3.1). Heat is resistance
 # times current squared: the way from the winding to the surroundings has its square less thermal resistance.

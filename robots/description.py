@@ -6,6 +6,7 @@ import importlib.util
 import math
 import sys
 import tomllib
+from collections.abc import Mapping
 from functools import cached_property
 from importlib import resources
 from pathlib import Path
@@ -189,12 +190,32 @@ def load(name: str, variant: str | None = None) -> Robot:
         for joint in data.get("joint", ()):
             _resolve(joint, motors, folder)
         return Robot.model_validate({**data, "source": name})
-    except (ValidationError, _DescriptionError) as error:
+    except ValidationError as error:
+        raise UnknownRobotError(f"{place}: {_sentence(error, data)}") from None
+    except _DescriptionError as error:
         raise UnknownRobotError(f"{place}: {error}") from None
 
 
 class _DescriptionError(ValueError):
     pass
+
+
+def _sentence(error: ValidationError, data: dict[str, Any]) -> str:
+    """What is wrong first, with its place: a joint, foot or bus by its name, not by its number."""
+    first = error.errors(include_url=False)[0]
+    node: Any = data
+    words = []
+    for part in first["loc"]:
+        if isinstance(node, Mapping) and part not in node and first["loc"][-1] != part:
+            continue  # pydantic's tag of a member of a union
+        try:
+            node = node[part]
+        except (KeyError, IndexError, TypeError):
+            node = None
+        named = isinstance(part, int) and isinstance(node, Mapping) and "name" in node
+        words.append(str(node["name"] if named else part))
+    message = first["msg"].removeprefix("Value error, ")
+    return f"{'.'.join(words)}: {message}" if words else message
 
 
 def _read(name: str) -> tuple[str, str, Path | None]:
@@ -223,7 +244,11 @@ def _resolve(joint: dict[str, Any], motors: dict[str, Any], folder: Path | None)
         actuator["motor"] = motors[motor]
     kind = actuator.get("kind", "sea")
     if isinstance(kind, str) and ":" in kind and folder is not None:
-        joint["actuator"] = _own_class(kind, folder, where).model_validate(actuator)
+        described = _own_class(kind, folder, where)
+        try:
+            joint["actuator"] = described.model_validate(actuator)
+        except ValidationError as error:
+            raise _DescriptionError(f"{where}: actuator.{_sentence(error, actuator)}") from None
     elif kind not in BUILT_IN:
         raise _DescriptionError(
             f"{where}: actuator.kind = {kind!r}: expected one of {', '.join(BUILT_IN)}, or FILE.py:CLASS for one of "

@@ -19,7 +19,7 @@ def add_parser(commands: Any) -> None:
         description="The firmware of one joint, its actuator and a load, in real time on a CAN FD bus; or, with a "
         "subcommand, the analysis of its torque loop.",
     )  # fmt: skip
-    joint.add_argument("--robot", default="hume", metavar="NAME", help="whose joint it is (hume)")
+    joint.add_argument("--robot", default="hume", metavar="NAME", help="whose joint, or a TOML file of one (hume)")
     joint.add_argument("--node", type=node_id, metavar="ID", help="CANopen node id of the joint")
     joint.add_argument("--joint", metavar="NAME", help="instead of --node, e.g. left_knee")
     joint.add_argument("--can", metavar="INTERFACE:CHANNEL", help="hil:lab, socketcan:can0 …")
@@ -51,6 +51,7 @@ def _joint(options: argparse.Namespace) -> int:
     from hil.standalone.joint import StandaloneJoint, open_bus
     from hil.streams import streams
     from joint_firmware.firmware import JointFirmware
+    from plant.actuators.model import NoModelError
     from plant.bench import Bench
     from robots import description
 
@@ -71,6 +72,8 @@ def _joint(options: argparse.Namespace) -> int:
         )  # fmt: skip
     except ValueError as error:
         raise UserError(f"--load {options.load}: {error}") from None
+    except NoModelError as error:
+        raise UserError(f"--robot {options.robot}: joint {joint.name}: {error}") from None
     bus = open_bus(options.can)
     previous: dict[int, Any] = {}
     try:

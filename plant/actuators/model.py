@@ -41,6 +41,10 @@ class Sensed(NamedTuple):
     supply: Symbol  # V, under load
 
 
+class NoModelError(LookupError):
+    """An actuator is described that nobody has given a model."""
+
+
 class ActuatorModel(ABC):
     """Equations of one actuator. ``x`` and ``p`` have one attribute per name of ``rest`` and ``parameters``."""
 
@@ -57,12 +61,12 @@ class ActuatorModel(ABC):
 
     @staticmethod
     def of(actuator: Actuator) -> ActuatorModel:
-        """The model of what ``actuator`` describes. Raises KeyError when there is none."""
+        """The model of what ``actuator`` describes. Raises NoModelError when there is none."""
         for described in type(actuator).__mro__:
             if described in ActuatorModel._of:
                 return ActuatorModel._of[described](actuator)
         name = type(actuator).__name__
-        raise KeyError(f"there is no model of {name}: derive one with describes={name}")
+        raise NoModelError(f"there is no model of {name}: derive one, class MyModel(ActuatorModel, describes={name})")
 
     @abstractmethod
     def parameters(self) -> Mapping[str, float]:

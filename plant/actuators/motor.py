@@ -21,6 +21,7 @@ import casadi as ca
 from plant.actuators.model import Inputs, Symbol
 from robots.actuators import AMBIENT, COPPER, Actuator
 
+
 class Flow(NamedTuple):
     """What flows during a step."""
 

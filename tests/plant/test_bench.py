@@ -162,3 +162,14 @@ def test_a_restored_bench_goes_on_as_the_first_did(kind):
     first = go_on()
     bench.restore(saved)
     assert go_on() == first
+
+
+def test_the_lightest_load_is_stable_on_a_stiff_damped_spring_too():
+    vlca = description.load("vlca")
+    with pytest.raises(ValueError, match=r"expected at least 0\.025 kg m²"):
+        Bench(vlca, 0, Inertia(inertia="0.02kgm2"), 3000.0)
+    bench = Bench(vlca, 0, Inertia(inertia="0.026kgm2", damping=0), 3000.0)
+    demand(bench, 1.0)
+    for _ in range(1000):
+        bench.step()
+        assert abs(bench.spring_torque) < 10

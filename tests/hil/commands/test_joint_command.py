@@ -189,7 +189,8 @@ MISTAKES: dict[tuple[str, ...], str] = {
     "4 (left_abduction), 5 (left_hip), 6 (left_knee)",
     ("--node", "0"): "argument --node: '0': expected 1 to 127",
     ("--joint", "left_kne"): "--joint left_kne: hume has none; did you mean 'left_knee'?",
-    ("--node", "3", "--robot", "hum"): "robot = 'hum': no robot 'hum'; there is: hume",
+    ("--node", "3", "--robot", "hum"):
+        "robot = 'hum': no robot 'hum'; there is: hume, valve, vlca, or the path of a TOML file",
     ("--node", "3", "--load", "lockd"): "--load lockd: no load 'lockd'; did you mean 'locked'?",
     ("--node", "3", "--load", "inertia=3"): "--load inertia=3: inertia = '3': '3' has no unit: "
     "write one of kg m², kgm², kg m2, kgm2",
@@ -227,3 +228,16 @@ def test_a_bus_that_is_not_there_is_named(capsys: pytest.CaptureFixture[str]) ->
     err = capsys.readouterr().err
     assert err.startswith("hil: --can hil:no-such-bus: no running emulation serves a bus 'no-such-bus'")
     assert err.count("\n") == 1
+
+
+def test_an_actuator_of_one_s_own_runs_from_the_path_of_its_description(tmp_path: Path) -> None:
+    """The worked example of docs/actuators.md."""
+    example = Path(__file__).parents[3] / "docs" / "examples" / "geared_motor.toml"
+    result = hil(
+        "joint", "--robot", str(example), "--joint", "wrist", "--can", "virtual:own", "--duration", "0.1s", "--json",
+        state=tmp_path,
+    )  # fmt: skip
+    assert result.returncode == 0, result.stderr
+    report = json.loads(result.stdout)
+    assert report["joint"] == "wrist" and report["state"] == "SWITCH_ON_DISABLED"
+    assert report["sent"] > 0

@@ -190,3 +190,16 @@ def test_a_warm_winding_takes_less_current_from_the_same_voltage():
     bank.set(0, "winding_capacity", 1e12)
     seen = spin(bank, 40.0, 1.0)
     assert seen.current[0] == pytest.approx(10.0 / (1.03 * (1 + COPPER * 130)), rel=1e-3)
+
+
+@pytest.mark.parametrize("enabled", [0.0, 5.0])
+def test_a_motor_that_is_driven_too_fast_feeds_the_supply_through_the_bridge(enabled):
+    """Also with the power stage off (no current demanded): its diodes conduct once the back-EMF exceeds the supply."""
+    bank = free(VLCA)
+    bank.set(0, "inertia", 1e9)
+    constant, cold = bank.get(0, "torque_per_ampere"), bank.get(0, "resistance")
+    for sign in (1, -1):
+        bank.state[bank.symbols.state_index[0]["dphi"]] = sign * 60.0 / constant
+        bank.current[0] = sign * enabled
+        bank.step()
+        assert bank.observe().current[0] == pytest.approx(-sign * 12.0 / cold, rel=1e-3)
