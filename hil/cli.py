@@ -127,9 +127,10 @@ def _parser() -> argparse.ArgumentParser:
     inject.set_defaults(command=_inject)
 
     joint_command.add_parser(commands)
-    from hil.commands import replay
+    from hil.commands import protection, replay
 
     replay.add_parser(commands)
+    protection.add_parser(commands)
     eds.add_parser(commands)
     bus_command.add_parser(commands)
     return parser

@@ -17,7 +17,7 @@ from hil import schema
 from hil.analysis.verdict import VerdictConfig
 from hil.errors import UserError
 from joint_firmware.config import FirmwareConfig
-from plant.config import PushConfig, SensorConfig, StanceConfig, TerrainConfig, WorldConfig
+from plant.config import JointFaults, PushConfig, SensorConfig, StanceConfig, TerrainConfig, WorldConfig
 from robots import description
 from robots.quantities import Config, Seconds
 
@@ -49,6 +49,7 @@ class Scenario(Config):
     controller: ControllerConfig = ControllerConfig()
     link: LinkConfig = LinkConfig()
     bus: dict[str, BusConfig] = Field(default_factory=dict)
+    joint: dict[str, JointFaults] = Field(default_factory=dict)  # faults, by joint
     push: tuple[PushConfig, ...] = ()
     inject: tuple[InjectionConfig, ...] = ()
     limits: VerdictConfig = VerdictConfig()
@@ -253,6 +254,9 @@ def _wrong_faults(scenario: Scenario, robot: description.Robot) -> Iterator[str]
 
     known = injectable(robot)
     keys = list(known)
+    for name in scenario.joint:
+        if name not in robot.joint_names:
+            yield f"unknown key {f'joint.{name}'!r}{schema.nearest(name, robot.joint_names, 'joint')}"
     for bus in robot.buses:
         for name, faults in scenario.bus.get(bus.name, BusConfig()).node.items():
             path = f"bus.{bus.name}.node"

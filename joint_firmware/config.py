@@ -7,6 +7,7 @@ from typing import Annotated, Any, Literal, NamedTuple, get_args
 from pydantic import AfterValidator, BeforeValidator, Field
 
 from bus.messages import GainSet
+from joint_firmware.protection_config import ProtectionConfig
 from robots.description import Joint
 from robots.quantities import (
     Config,
@@ -100,6 +101,7 @@ class FirmwareConfig(Config):
     impedance_stiffness: TorquePerRadian = 30.0  # of the joint in impedance
     impedance_damping: TorquePerRate = 3.0
     soft_stop_stiffness: Gain = 200.0  # N m/rad beyond a joint limit
+    protection: ProtectionConfig = ProtectionConfig()
 
     def of_joint(self, name: str) -> FirmwareConfig:
         """That of one joint's drive."""

@@ -10,7 +10,10 @@ from __future__ import annotations
 import struct
 from collections.abc import Iterator
 
+import annotated_types
+
 from bus import messages
+from bus.drive_faults import DriveFault
 from bus.messages import GainSet, Mode, Setpoint, State
 from joint_firmware.config import FirmwareConfig, TorqueGains
 from joint_firmware.object_dictionary import (
@@ -23,6 +26,7 @@ from joint_firmware.object_dictionary import (
     record,
     variable,
 )
+from joint_firmware.protection_config import ProtectionConfig
 from robots.description import Joint, Robot
 
 HISTORY = 8  # errors that 0x1003 remembers
@@ -159,6 +163,22 @@ def _scale(name: str, counts_per_rad: float) -> Variable:
     return Variable(name, _F32, "rw", counts_per_rad, low, high, "1/rad")
 
 
+def protection_limits() -> list[str]:
+    """Fields of ``ProtectionConfig`` in the order of the sub-indices of 0x2040."""
+    return list(ProtectionConfig.model_fields)
+
+
+def _limits(config: ProtectionConfig) -> list[Variable]:
+    limits = []
+    for name, field in ProtectionConfig.model_fields.items():
+        low = next(m.ge for m in field.metadata if isinstance(m, annotated_types.Ge))
+        high = next(m.le for m in field.metadata if isinstance(m, annotated_types.Le))
+        extra = field.json_schema_extra if isinstance(field.json_schema_extra, dict) else {}
+        text = name.replace("_", " ").capitalize()
+        limits.append(_parameter(text, getattr(config, name), low, high, str(extra.get("unit", ""))))  # type: ignore[arg-type]
+    return limits
+
+
 def _own(joint: Joint, config: FirmwareConfig) -> Iterator[Object]:
     yield _gains(0x2000, "Torque gains, stance", config.stance)
     yield _gains(0x2001, "Torque gains, swing", config.swing)
@@ -192,6 +212,11 @@ def _own(joint: Joint, config: FirmwareConfig) -> Iterator[Object]:
         Variable("Spring stiffness", _F32, "ro", joint.actuator.stiffness, unit="N m/rad"),
     ])  # fmt: skip
     yield record(0x2030, "Interrupt counters", [Variable("Ticks", _U32), Variable("Malformed frames", _U32)])
+    yield record(0x2040, "Protection limits", _limits(config.protection))
+    yield record(0x2041, "Protection levels", [
+        Variable(fault.name.replace("_", " ").capitalize(), _F32) for fault in DriveFault if fault
+    ])  # fmt: skip
+    yield record(0x2042, "Protection state", [Variable("Trip word", _U32), Variable("Fault", _U8)])
     yield record(0x2100, "State", _fields(State._fields, messages.STATE_LAYOUT))
     yield record(0x2200, "Command in force", _fields(COMMAND_FIELDS, _COMMAND_LAYOUT))
 
@@ -204,7 +229,7 @@ def _device(joint: Joint, config: FirmwareConfig) -> Iterator[Object]:
     yield variable(0x6040, Variable("Controlword", _U16, "rw"))
     yield variable(0x6041, Variable("Statusword", _U16, mappable=True))
     yield variable(0x605A, _constant("Quick stop option code", _I16, -1))  # own: motor damping, then switched off
-    yield variable(0x605E, _constant("Fault reaction option code", _I16, 0))  # power off at once
+    yield variable(0x605E, _constant("Fault reaction option code", _I16, -1))  # own: by fault
     yield variable(0x6060, Variable("Modes of operation", _I8, "rw"))
     yield variable(0x6061, Variable("Modes of operation display", _I8, mappable=True))
     yield variable(0x6064, Variable("Position actual value", _I32, mappable=True, **position))  # type: ignore[arg-type]

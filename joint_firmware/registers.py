@@ -7,6 +7,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 from bus import messages
+from bus.drive_faults import DriveFault
 from joint_firmware import objects
 from joint_firmware.config import FirmwareConfig
 from joint_firmware.eds import eds
@@ -37,6 +38,7 @@ def connect(dictionary: ObjectDictionary, drive: JointFirmware) -> None:
     dictionary.connect(0x1021, 0, data_sheet)
     dictionary.connect(0x2030, 1, lambda: drive.ticks & _COUNTER)
     dictionary.connect(0x2030, 2, lambda: drive.malformed & _COUNTER)
+    _protection(dictionary, drive)
     for n in range(len(messages.STATE_LAYOUT)):
         dictionary.connect(0x2100, n + 1, lambda n=n: _state(drive)[n])  # type: ignore[misc]
     for n, field in enumerate(objects.COMMAND_FIELDS, start=1):
@@ -102,6 +104,26 @@ def _device(dictionary: ObjectDictionary, drive: JointFirmware) -> None:
             lambda end=end: drive.settings.joint.limits[end] / messages.RADIAN,  # type: ignore[misc]
             lambda value, end=end: write_limit(end, value),  # type: ignore[misc]
         )  # fmt: skip
+
+
+def _protection(dictionary: ObjectDictionary, drive: JointFirmware) -> None:
+    """Limits of the monitors, how much of them is used, and what has tripped."""
+
+    def limit(sub: int, name: str) -> None:
+        def write(value: float) -> None:
+            config = drive.settings.config
+            limits = config.protection.model_copy(update={name: value})
+            drive.configure(config=config.model_copy(update={"protection": limits}))
+
+        dictionary.connect(0x2040, sub, lambda: getattr(drive.settings.config.protection, name), write)
+
+    for sub, name in enumerate(objects.protection_limits(), start=1):
+        limit(sub, name)
+    for fault in DriveFault:
+        if fault:
+            dictionary.connect(0x2041, fault, lambda fault=fault: drive.levels()[fault - 1])  # type: ignore[misc]
+    dictionary.connect(0x2042, 1, lambda: int(drive.y[law.Y_TRIPS]))
+    dictionary.connect(0x2042, 2, lambda: drive.fault)
 
 
 def _parameters(dictionary: ObjectDictionary, drive: JointFirmware) -> None:

@@ -13,7 +13,7 @@ from hil.errors import UserError
 if TYPE_CHECKING:
     from hil.joint_lab.setup import Setup
 
-_CONTROLLER = ("controller.rate", "controller.phase", "controller.compute_time")
+_CONTROLLER = {f"{key}=": key for key in ("controller.rate", "controller.phase", "controller.compute_time")}
 _PHYSICS_STEPS = 20  # per interrupt of the drive: an experiment is compared with exact theory
 _ALL, OPEN_LOOP = "all", "open"
 

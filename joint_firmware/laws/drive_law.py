@@ -72,12 +72,13 @@ class DriveLaw:
         return np.array([values[name] for name in self.parameters])
 
     def _assemble(self) -> ca.Function:
-        counts, u = ca.SX.sym("counts", s.COUNTS_SIZE), ca.SX.sym("u", s.INPUT_SIZE)
+        counts, u_given = ca.SX.sym("counts", s.COUNTS_SIZE), ca.SX.sym("u", s.INPUT_SIZE)
         x, p = symbols(self.states), symbols(self.parameters)
         sensed, sensing_next = self._sensing.sense(counts, x, p)
-        trips, derating, monitor_next = self._monitor.watch(counts, sensed, x, p)
+        u, misled = self._monitor.admit(u_given, p)
+        verdict, monitor_next = self._monitor.watch(counts, u, misled, sensed, x, p)
         wanted, reference_next = self._reference.follow(u, sensed, x, p)
-        demand, output_next = self._output.drive(u, sensed, wanted, derating, x, p)
+        demand, output_next = self._output.drive(u, sensed, wanted, verdict, x, p)
         x_next = Symbols(**vars(sensing_next), **vars(monitor_next), **vars(reference_next), **vars(output_next))
         y = ca.vertcat(
             _round(sensed.position / RADIAN, _I32),
@@ -89,15 +90,13 @@ class DriveLaw:
             wanted.active * ca.logic_or(wanted.limited, demand.cut),
             sensed.torque,
             sensed.position,
-            trips,
+            verdict.trips,
             self._map.to_joint(sensed.motor_position),
         )
-        return ca.Function(
-            "joint_law",
-            [counts, vector(x, self.states), u, vector(p, self.parameters)],
-            [vector(x_next, self.states), y],
-            ["counts", "x", "u", "p"], ["x_next", "y"],
-        )  # fmt: skip
+        arguments = [counts, vector(x, self.states), u_given, vector(p, self.parameters)]
+        names = ["counts", "x", "u", "p"]
+        self.levels = ca.Function("levels", arguments, [verdict.levels], names, ["levels"])
+        return ca.Function("joint_law", arguments, [vector(x_next, self.states), y], names, ["x_next", "y"])
 
 
 def _round(value: ca.SX, limit: int) -> ca.SX:

@@ -396,8 +396,8 @@ def test_an_expedited_download_without_a_size_is_as_long_as_its_object(rig):
 
 # --- whatever comes -----------------------------------------------------------------------------------------
 
-writable = [(0x1003, 0), (0x1017, 0), (0x1800, 2), (0x2000, 1), (0x2002, 0), (0x2010, 0), (0x201B, 0), (0x2020, 1), (0x6040, 0),
-            (0x6060, 0), (0x6071, 0), (0x6072, 0), (0x607A, 0), (0x607D, 1), (0x607D, 2)]  # fmt: skip
+writable = [(0x1003, 0), (0x1017, 0), (0x1800, 2), (0x2000, 1), (0x2002, 0), (0x2010, 0), (0x201B, 0), (0x2020, 1),
+            (0x6040, 0), (0x6060, 0), (0x6071, 0), (0x6072, 0), (0x607A, 0), (0x607D, 1), (0x607D, 2)]  # fmt: skip
 aimed = st.builds(
     lambda command, place, data: struct.pack("<BHB", command, *place) + data,
     st.integers(0, 255), st.sampled_from(writable), st.binary(min_size=4, max_size=4),

@@ -6,6 +6,7 @@ from joint_firmware.config import FirmwareConfig
 from joint_firmware.laws import TORQUE_LOOPS, Offsets, drive_law, torque_loop_function
 from joint_firmware.laws import signals as law
 from joint_firmware.memory import LawMemory
+from joint_firmware.protection_config import UNPROTECTED
 from robots import description, pins
 
 HIP = description.load("hume").joint("right_hip")
@@ -73,10 +74,10 @@ class Held:
 
 
 class Drive:
-    """The whole law of ``joint``'s drive with its state, one call per tick; counts are not rounded."""
+    """The whole law of ``joint``'s unprotected drive with its state, one call per tick; counts are not rounded."""
 
     def __init__(self, joint=HIP, **config):
-        self.joint, self.config = joint, FirmwareConfig(**config)
+        self.joint, self.config = joint, FirmwareConfig(protection=UNPROTECTED, **config)
         self.law = drive_law(joint, self.config)
         self._memory = memory = LawMemory(self.law, lambda function: function)
         memory.p_array[:] = self.law.values(joint, self.config)

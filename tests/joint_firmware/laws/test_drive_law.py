@@ -10,10 +10,11 @@ from hypothesis import strategies as st
 from joint_firmware.config import FirmwareConfig, TorqueGains
 from joint_firmware.laws import drive_law
 from joint_firmware.laws import signals as law
+from joint_firmware.protection_config import UNPROTECTED
 from robots import description, pins
 
 HIP = description.load("hume").joint("right_hip")
-CONFIG = FirmwareConfig()
+CONFIG = FirmwareConfig(protection=UNPROTECTED)
 DT = 1.0 / 3000.0
 AMPERE = HIP.actuator.torque_per_ampere
 LAW = drive_law(HIP, CONFIG)
@@ -136,7 +137,7 @@ class Reference:
         error = reference - tau
         held = [reference + p * error - d * dtheta + (integral if i > 0 else 0.0) for p, i, d in (old, (kp, ki, kd))]
         full = HIP.actuator.current_limit * AMPERE
-        carry = max(-full, min(full, carry + held[0] - held[1]))
+        carry = max(-4 * full, min(4 * full, carry + held[0] - held[1]))
         motor = held[1] + carry
         saturated = abs(motor) > HIP.actuator.current_limit * AMPERE
         limited = (
