@@ -102,13 +102,15 @@ class Medium:
         self._foretold: list[Event] = []  # by time: what controllers will tell in the course of an error
         self._errors: deque[Event] = deque(maxlen=_UNREAD)
         self._armed: dict[_Key, list[tuple[int, int | str, int | None]]] = {}  # damage to come
+        self._withdrawn: set[int] = set()  # orders of the frames under way that are not sent again
+        self._given_up: deque[tuple[int, Frame]] = deque(maxlen=_UNREAD)
         self._traffic: dict[_Key, Traffic] = {}
         self.busy_ns = 0
         self.sent = 0
         self.lost = 0
         self.errors = 0  # frames that ended in an error frame
         self.refused = 0  # offered to a full transmit queue
-        self.dropped = 0  # given up in one-shot mode
+        self.dropped = 0  # given up: in one-shot mode, or withdrawn
         self.collisions = 0  # attempts of several ports with the same identifier
         self.longest_wait_ns = 0
         self._next = NEVER
@@ -202,11 +204,12 @@ class Medium:
             if port in outcome.sent:
                 self._remove(entry)
                 self._note_sent(entry, sending[1])
-            elif port in self._nodes.one_shot:
+            elif port in self._nodes.one_shot or entry[2] in self._withdrawn:
                 self._remove(entry)
                 self._give_up(entry)
             elif port in outcome.failed:
                 self._traffic_of(entry[4]).retransmitted += 1
+            self._withdrawn.discard(entry[2])
         if outcome.frame is not None:
             self._deliver(PartialDelivery.of(now_ns, outcome.sender, outcome.frame, outcome.missed), delivered)
         if outcome.jammed:
@@ -219,6 +222,7 @@ class Medium:
     def _give_up(self, entry: Entry) -> None:
         port = entry[1]
         self.dropped += 1
+        self._given_up.append((port, entry[4]))
         self._traffic_of(entry[4]).lost += 1
         self._queued[port] -= 1
         if self._behind[port]:
@@ -269,6 +273,13 @@ class Medium:
         self._errors.clear()
         return events
 
+    def given_up(self) -> list[tuple[int, Frame]]:
+        """(port, frame) of what has left a transmit queue unsent since the last call, in order. The oldest are
+        forgotten when nobody asks."""
+        frames = list(self._given_up)
+        self._given_up.clear()
+        return frames
+
     def waiting(self, port: int) -> int:
         """How many frames of ``port`` wait in its transmit queue."""
         return self._queued[port]
@@ -301,6 +312,8 @@ class Medium:
             "foretold": list(self._foretold),
             "error_frames": list(self._errors),
             "armed": {key: list(items) for key, items in self._armed.items()},
+            "withdrawn": set(self._withdrawn),
+            "given_up": list(self._given_up),
             "traffic": {key: one.snapshot() for key, one in self._traffic.items()},
             "nodes": self._nodes.snapshot(),
             "impairment": self._impairment.snapshot(),
@@ -316,6 +329,8 @@ class Medium:
         self._foretold = list(state["foretold"])
         self._errors = deque(state["error_frames"], maxlen=_UNREAD)
         self._armed = {key: list(items) for key, items in state["armed"].items()}
+        self._withdrawn = set(state["withdrawn"])
+        self._given_up = deque(state["given_up"], maxlen=_UNREAD)
         self._traffic = {key: Traffic.restored(saved) for key, saved in state["traffic"].items()}
         self._nodes.restore(state["nodes"])
         self._impairment.restore(state["impairment"])

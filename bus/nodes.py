@@ -49,6 +49,12 @@ class Outcome:
     ready_at: dict[int, int] = field(default_factory=dict)
     may_send_at: dict[int, int] = field(default_factory=dict)
 
+    def forget(self, port: int) -> None:
+        """Let nothing come of it for ``port``, where another node is now."""
+        for of_ports in (self.counters, self.ready_at, self.may_send_at):
+            of_ports.pop(port, None)
+        self.events = [event for event in self.events if event[1] != port]
+
 
 def misread(levels: bytes | bytearray, ratio: float) -> frozenset[int]:
     """Bits of ``levels`` that a node reads wrong whose bits last ``ratio`` times those of the sender."""
@@ -89,6 +95,16 @@ class Nodes:
     def dominant(self) -> bool:
         """Whether a stuck node holds the wire."""
         return bool(self.stuck - self.cut)
+
+    def renew(self, port: int) -> None:
+        """Put a sound node in the place of another."""
+        for faulty in (self.cut, self.stuck, self.listen_only, self.one_shot):
+            faulty.discard(port)
+        self.rate.pop(port, None)
+        self._recovering.pop(port, None)
+        self.counters[port] = Counters()
+        self._ready_at[port] = self._may_send_at[port] = 0
+        self.changed()
 
     # --- who takes part -----------------------------------------------------------------------------------------
 

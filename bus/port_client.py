@@ -30,7 +30,7 @@ from bus.records import (
 
 WINDOW = 64  # frames of a client whose fate it does not know
 IN_FLIGHT = 16  # frames of a client that wait in the controller
-_UNSEEN_NS = 1_000_000_000  # bus time after which a frame that was not on the bus is given up
+UNSEEN_NS = 1_000_000_000  # bus time after which a frame that was not on the bus is given up
 _RETRY_NS = 1_000_000  # for a full socket
 _MAX_TASKS = 64
 _MAX_RECORDS = 2 * WINDOW  # that it is heard for at a time
@@ -75,7 +75,7 @@ class Client:
         """Bus time at which ``due`` should be asked again even if nothing happens until then; NEVER if not."""
         times = [task.next_ns for task in self._tasks.values()]
         if self._flying:
-            times.append(self._flying[0][2] + _UNSEEN_NS)
+            times.append(self._flying[0][2] + UNSEEN_NS)
         if self._untold:
             times.append(self._asked_ns + _RETRY_NS)
         return min(times, default=NEVER)
@@ -133,8 +133,7 @@ class Client:
         """The frames that are to be offered to the bus now."""
         self._asked_ns = now_ns
         flying, backlog, frames = self._flying, self._backlog, []
-        while flying and flying[0][2] <= now_ns - _UNSEEN_NS:
-            self._tell_fate(UNSEEN, flying.popleft()[0], now_ns)
+        self._tell_unseen(now_ns)
         for number, task in list(self._tasks.items()):
             for frame in task.due(now_ns)[: max(IN_FLIGHT - len(flying), 0)]:  # without a place it was due in vain
                 flying.append((0, frame, now_ns))
@@ -148,6 +147,11 @@ class Client:
         while self._untold and self._send(self._untold[0]):
             self._untold.popleft()
         return frames
+
+    def _tell_unseen(self, now_ns: int) -> None:
+        """Give up frames that have been under way for too long."""
+        while self._flying and self._flying[0][2] <= now_ns - UNSEEN_NS:
+            self._tell_fate(UNSEEN, self._flying.popleft()[0], now_ns)
 
     def refused(self, frame: Frame) -> bool:
         """The transmit queue was full when ``frame``, which was due, was offered: it will be due again. False when it

@@ -185,8 +185,9 @@ def served() -> list[tuple[str, str]]:
 
 
 def connect(channel: str, ask_only: bool = False) -> tuple[socket.socket, dict[str, Any]]:
-    """Attach to ``channel`` ("left_leg", or "RUN/left_leg" when several runs go on). Returns socket and
-    hello; with ``ask_only`` also that of a bus which takes no more clients.
+    """Attach to ``channel`` ("left_leg", or "RUN/left_leg" when several runs go on). Returns socket and hello.
+
+    With ``ask_only`` from a bound socket, by which a bus can tell that nobody wants to attach; it may hang up at once.
 
     Raises PortError with what there is.
     """
@@ -201,6 +202,8 @@ def connect(channel: str, ask_only: bool = False) -> tuple[socket.socket, dict[s
     connection = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     connection.settimeout(2.0)
     try:
+        if ask_only:
+            connection.bind("")  # to an address of the kernel's choice
         connection.connect(_address(*matches[0]))
         if peer(connection)[1] != os.getuid():
             raise PortError(f"{channel!r} is served by another user")

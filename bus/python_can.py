@@ -118,7 +118,9 @@ class HilBus(can.BusABC):
         self._notice: str | None = hello.get("notice")
         if not hello.get("fd", True):
             self._can_protocol = can.CanProtocol.CAN_20
-        self.channel_info = f"hil {hello['run']}/{hello['channel']}"
+        # a stand-alone bus tells every client what it is called there
+        called = f" ({hello['node']})" if "node" in hello else ""
+        self.channel_info = f"hil {hello['run']}/{hello['channel']}{called}"
         try:
             super().__init__(channel=channel, **kwargs)
         except Exception:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import heapq
 import math
+from collections import deque
 
 from bus.bitstream import Field
 from bus.link import NEVER
@@ -71,6 +72,35 @@ class FaultyMedium(Medium):
         free 11 bits later."""
         self._set_fault(self._nodes.stuck, port, on, now_ns)
 
+    def unplug(self, port: int, now_ns: int) -> bool:
+        """Take a node off the bus, with its faults, its error counters and what it was to send, so that a sound one can
+        be plugged in at its port. False while a frame of its is under way: to be called again when that has ended."""
+        self.stuck_dominant(port, False, now_ns)
+        self._withdraw(port)
+        if self._queued[port]:
+            self._look_again(now_ns)
+            return False
+        sending = self._sending
+        if sending is not None and sending[3] is not None:
+            sending[3][1].forget(port)
+        self._foretold = [event for event in self._foretold if event[1] != port]
+        self._nodes.renew(port)
+        self._faults_changed(now_ns)
+        return True
+
+    def _withdraw(self, port: int) -> None:
+        """Give up what a node wants to send; what is under way is not sent again."""
+        sending = self._sending
+        under_way = sending[3][0].get(port) if sending is not None and sending[3] is not None else None
+        if under_way is not None:
+            self._withdrawn.add(under_way[2])
+        behind, self._behind[port] = self._behind[port], deque()
+        first = [entry for entry in sorted(self._waiting) if entry[1] == port and entry is not under_way]
+        for entry in first:
+            self._remove(entry)
+        for entry in (*first, *behind):
+            self._give_up(entry)
+
     def _jam(self, now_ns: int) -> None:
         sending = self._sending
         if sending is None or sending[0] <= now_ns:
@@ -108,5 +138,8 @@ class FaultyMedium(Medium):
 
     def _faults_changed(self, now_ns: int) -> None:
         self._nodes.changed()
+        self._look_again(now_ns)
+
+    def _look_again(self, now_ns: int) -> None:
         self._schedule()
         self._next = max(self._next, now_ns)

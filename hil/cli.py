@@ -345,7 +345,10 @@ def _inject(options: argparse.Namespace) -> int:
     from hil import control
 
     if options.list:
-        print("\n".join(control.listing(options.key or "")))
+        from hil.standalone.control import injectable
+
+        key = options.key or ""
+        print("\n".join(control.listing(key, injectable(key))))
         return 0
     if options.key is None or options.value is None:
         raise UserError("inject needs KEY and VALUE, for example `hil inject link.command.delay 3ms`")

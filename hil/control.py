@@ -5,19 +5,21 @@ from __future__ import annotations
 import json
 import sys
 import threading
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Mapping
 from typing import Any
 
 from bus.frames import ErrorFrame, Frame
 from bus.ports import PortError, PortServer, find_runs, served
 from bus.zenoh_link import keys, peer_config
 from hil.errors import EmulationError, HilError, UserError
-from hil.injection import Injectable, injectable, of_bus
+from hil.injection import Injectable, injectable, of_bus, of_standalone_bus
 from hil.scenario import parse_value
 from hil.schema import nearest
 from robots import description
 
 _ANSWER_TIMEOUT_S = 5.0
+_RETRY_S = 0.01
 _NOTICE = "with this frame the run is no longer reproducible from its scenario alone"
 
 
@@ -100,15 +102,16 @@ def serve_run(assembly: Any) -> None:
     assembly.queryable = serve_injections(system, session, assembly.run_name, known)
 
 
-def serve_injections(system: Any, session: Any, run: str, known: list[str]) -> Any:
-    """Answer the injection queries for ``run``, which takes the keys ``known``: ``system`` has ``inject(key, value)``
-    and ``now_ns``, and runs its ``requests`` between two events. Returns the queryable."""
+def serve_injections(system: Any, session: Any, run: str, known: list[str] | None = None) -> Any:
+    """Answer the injection queries for ``run``, which takes the keys ``known``; without them it refuses others itself.
+    ``system`` has ``inject(key, value)`` and ``now_ns``, and runs its ``requests`` between two events. Returns the
+    queryable."""
 
     def change(text: str) -> dict[str, Any]:
         try:
             order = json.loads(text)
             key, value = order["key"], order["value"]
-            if key not in known:
+            if known is not None and key not in known:
                 raise UserError(unknown_key(key, known))
             return {"value": system.inject(key, value), "time": system.now_ns * 1e-9}
         except (ValueError, KeyError, TypeError, RecursionError):
@@ -146,8 +149,9 @@ def between_events(system: Any, respond: Callable[[str], dict[str, Any]]) -> Cal
 def inject(key: str, value: str, run: str | None = None) -> str:
     """Change ``key`` of a run that is going on. Returns one sentence; raises UserError or EmulationError."""
     known = list(keys_of_all_robots())
-    known += [name for _, bus in served() for name in of_bus(bus) if name not in known]
-    if key not in known:
+    for run_name, bus in served():
+        known += [name for name in (of_standalone_bus if run_name == bus else of_bus)(bus) if name not in known]
+    if key not in known and not _of_a_client(key):
         raise UserError(unknown_key(key, known))
     parse_value(key, value)
     runs = find_runs()
@@ -168,6 +172,11 @@ def inject(key: str, value: str, run: str | None = None) -> str:
     return f"{key} = {value} from {result['time']:.6f} s of {name} on"
 
 
+def _of_a_client(key: str) -> bool:
+    """Whether ``key`` may be a fault of a client of a stand-alone bus: which there are, only the bus knows."""
+    return any(run == bus and key.startswith(f"bus.{bus}.node.") for run, bus in served())
+
+
 def ask(name: str, endpoint: str, key: str, payload: bytes = b"") -> dict[str, Any]:
     """The answer of the run ``name`` to a query. Raises EmulationError when there is none, and UserError when it
     refuses."""
@@ -177,14 +186,18 @@ def ask(name: str, endpoint: str, key: str, payload: bytes = b"") -> dict[str, A
         session = zenoh.open(peer_config(endpoint))
     except zenoh.ZError as error:
         raise EmulationError(f"{name} cannot be reached at {endpoint}: {error}") from None
+    deadline = time.monotonic() + _ANSWER_TIMEOUT_S
     try:
-        for reply in session.get(key, payload=payload, timeout=_ANSWER_TIMEOUT_S + 1):
-            if reply.ok is None:
+        while True:
+            reply = next(iter(session.get(key, payload=payload, timeout=_ANSWER_TIMEOUT_S + 1)), None)
+            if reply is not None and reply.ok is not None:
+                result = json.loads(reply.ok.payload.to_bytes())
+                if "error" in result:
+                    raise UserError(result["error"])
+                return result
+            if reply is not None or time.monotonic() > deadline:
                 break
-            result = json.loads(reply.ok.payload.to_bytes())
-            if "error" in result:
-                raise UserError(result["error"])
-            return result
+            time.sleep(_RETRY_S)  # a busy run may be connected before it has told what it answers
     finally:
         session.close()
     raise EmulationError(f"{name} did not answer")
@@ -199,9 +212,10 @@ def keys_of_all_robots() -> dict[str, Injectable]:
     return {k: v for name in description.available() for k, v in injectable(description.load(name)).items()}
 
 
-def listing(prefix: str = "") -> list[str]:
-    """Lines that explain the injectable keys, all or those under ``prefix``. Raises UserError when there is none."""
-    known = keys_of_all_robots()
+def listing(prefix: str = "", alone: Mapping[str, Injectable] | None = None) -> list[str]:
+    """Lines that explain the injectable keys, all of runs or those under ``prefix``, which may also be one of the keys
+    ``alone``, of a stand-alone bus. Raises UserError when there is none."""
+    known = keys_of_all_robots() | dict(alone or {})
     entries = [v for k, v in known.items() if f"{k}.".startswith(f"{prefix}." if prefix else "")]
     if not entries:
         raise UserError(unknown_key(prefix, list(known)))

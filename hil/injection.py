@@ -26,7 +26,8 @@ if typing.TYPE_CHECKING:
     from hil.scenario import Scenario
 
 GATEWAY = "gateway"  # a node of every bus
-_OF_JOINTS = ("node_id", "drift")  # faults that only a joint can have
+OTHERS = "others"  # of a stand-alone bus: all nodes that are no client
+OF_JOINTS = ("node_id", "drift")  # faults that only a joint can have
 
 
 @dataclass(frozen=True)
@@ -68,10 +69,15 @@ def of_bus(name: str, nodes: Sequence[str] = (), joints: Sequence[str] = ()) -> 
     entries |= _by_key(_fields(BusConfig, path, only=("damage",)))
     entries |= _by_key(_fields(Babble, f"{path}.babble")) | _by_key(_fields(Background, f"{path}.background"))
     for node in nodes:
-        entries |= _by_key(_fields(NodeFaults, f"{path}.node.{node}", without=_OF_JOINTS))
+        entries |= _by_key(_fields(NodeFaults, f"{path}.node.{node}", without=OF_JOINTS))
     for joint in joints:
         entries |= _by_key(_fields(NodeFaults, f"{path}.node.{joint}"))
     return entries
+
+
+def of_standalone_bus(name: str, clients: Sequence[str] = ()) -> dict[str, Injectable]:
+    """All that can be injected into a stand-alone bus with these clients."""
+    return of_bus(name, clients) | _by_key(_fields(NodeFaults, f"bus.{name}.node.{OTHERS}", only=("cut",)))
 
 
 def _by_key(entries: Iterable[Injectable]) -> dict[str, Injectable]:

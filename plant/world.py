@@ -136,7 +136,8 @@ class World:
         row[3 * n : 4 * n] = act.motor_velocity
         row[4 * n : 5 * n] = act.torque
         row[5 * n : 6 * n] = act.current
-        at = 6 * n
+        row[6 * n : 7 * n] = act.temperature
+        at = 7 * n
         row[at : at + 3] = sensed[0:3]
         row[at + 3 : at + 6] = self._roll_pitch_yaw()
         row[at + 6 : at + 24] = sensed[3:21]  # com, com_velocity, feet, contacts
@@ -160,7 +161,7 @@ class World:
         joints = self.robot.joint_names
         names = [
             f"{what}.{joint}"
-            for what in ("q", "dq", "motor", "dmotor", "spring_torque", "motor_current")
+            for what in ("q", "dq", "motor", "dmotor", "spring_torque", "motor_current", "winding")
             for joint in joints
         ]
         names += [f"base.{axis}" for axis in ("x", "y", "z", "roll", "pitch", "yaw")]

@@ -70,7 +70,7 @@ CASES: tuple[FaultCase, ...] = (
     FaultCase(DriveFault.ENCODER_MISMATCH, 1.0, "encoder", "slip", moving=True),
     FaultCase(DriveFault.CURRENT_SENSOR, 200 * _MS, "current_sensor", "dead", moving=True),
     FaultCase(DriveFault.SPRING, 100 * _MS, "spring", 0.0),
-    FaultCase(DriveFault.UNDER_VOLTAGE, 2 * _MS, "supply", 0.7),
+    FaultCase(DriveFault.UNDER_VOLTAGE, 6 * _MS, "supply", 0.7),
     FaultCase(DriveFault.OVER_VOLTAGE, 2 * _MS, "supply", 1.3),
     FaultCase(DriveFault.OVER_CURRENT, 2 * _MS, "current_sensor", "jump"),
     FaultCase(DriveFault.OVER_TORQUE, 1 * _MS, limits={"over_torque": 0.05}),

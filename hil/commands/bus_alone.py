@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from bus.config import BusConfig
 
 _RATE = re.compile(r"(\d+(?:\.\d+)?)([kM])(?:bit/s)?")
+_FROM_THE_START = ("bus_off_recovery", "queue")  # what can be set, but not changed later
 _CLOSE_S = 3.0  # that Zenoh may take to close
 _SLOWEST, _FASTEST_CLASSICAL, _FASTEST = 5_000, 1_000_000, 8_000_000  # bit/s; ISO 11898-2, CiA 601-4
 
@@ -89,11 +90,12 @@ def _classic(text: str) -> float:
 
 def _config(options: argparse.Namespace) -> BusConfig:
     """Rates and faults of the bus. Raises UserError for a setting that is none of its own."""
+    from hil.injection import of_standalone_bus
     from hil.scenario import parse_value, validate
-    from hil.schema import nearest
-    from hil.standalone.server import injectable
+    from hil.standalone.faults import unknown
 
-    keys = injectable(options.name)
+    path = f"bus.{options.name}"
+    keys = [*of_standalone_bus(options.name), *(f"{path}.{key}" for key in _FROM_THE_START)]
     slow, fast = (options.classic, options.classic) if options.classic is not None else options.fd
     values: dict[str, Any] = {"arbitration_rate": f"{slow!r} bit/s", "data_rate": f"{fast!r} bit/s"}
     for setting in options.settings:
@@ -101,7 +103,7 @@ def _config(options: argparse.Namespace) -> BusConfig:
         if not separator:
             raise UserError(f"--set {setting}: expected KEY=VALUE, for example --set {keys[0]}=3ms")
         if key.strip() not in keys:
-            raise UserError(f"--set {setting}: no such key{nearest(key.strip(), keys)}")
+            raise UserError(f"--set {setting}: {unknown(options.name, key.strip(), ())}")
         parse_value(key.strip(), value.strip())  # complains with the key's name
         *tables, leaf = key.strip().split(".")[2:]
         node = values
@@ -163,7 +165,7 @@ def _serve(
     from hil.clock import request_priority
     from hil.control import between_events, serve_injections
     from hil.standalone.record import Record
-    from hil.standalone.server import StandaloneBus, injectable
+    from hil.standalone.server import StandaloneBus
 
     name, endpoint = options.name, f"tcp/127.0.0.1:{free_port()}"
     try:
@@ -193,7 +195,7 @@ def _serve(
             session = zenoh.open(session_config(endpoint, None))
         except zenoh.ZError as error:
             raise UserError(f"Zenoh could not be opened at {endpoint}: {error}") from None
-        serve_injections(bus, session, name, injectable(name))
+        serve_injections(bus, session, name)
         session.declare_queryable(
             keys(name).status, between_events(bus, lambda _: {**bus.status(), "scheduling": scheduling})
         )
@@ -264,8 +266,10 @@ def _status(options: argparse.Namespace) -> int:
     )
     for client in told["clients"]:
         print(
-            f"client    {client['process']} ({client['pid']}): {client['sent']} sent, {client['received']} received, "
-            f"{client['missed']} missed, {client['malformed']} malformed"
+            f"client    {client['node']}, {client['process']} ({client['pid']}): {client['sent']} sent, "
+            f"{client['received']} received, {client['missed']} missed, {client['malformed']} malformed; "
+            f"{client['state']}, TEC {client['tec']}, REC {client['rec']}"
+            + "".join(f"; {fault} = {_written(value)}" for fault, value in client["faults"].items())
         )
     for identifier, counts in told["identifiers"].items():
         print(
@@ -276,6 +280,10 @@ def _status(options: argparse.Namespace) -> int:
         print(f"injected  {change['time_s']:.6f} s: {change['key']} = {change['value']}")
     print(f"log       {told['log'] or 'none'}{' — ' + told['log_failure'] if told['log_failure'] else ''}")
     return 0
+
+
+def _written(value: Any) -> str:
+    return str(value).lower() if isinstance(value, bool) else f"{value:g}"
 
 
 def _down(options: argparse.Namespace) -> int:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import argparse
 import math
+from collections.abc import Mapping
+from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 from hil.errors import UserError
@@ -15,7 +17,7 @@ if TYPE_CHECKING:
 
 _PHYSICS = 3000.0  # Hz, at least
 LOADS = "inertia=0.5kgm2[,damping=0.5Nms/rad] | pendulum[,mass=3kg,length=0.4m,damping=0.5Nms/rad] | locked"
-ALONE = ("firmware.", "sensors.", "world.friction_scale=", "world.rate=")  # what of a scenario a joint alone has
+_ALONE = ("firmware.", "sensors.", "world.friction_scale=", "world.rate=")  # what of a scenario a joint alone has
 
 
 def node_id(text: str) -> int:
@@ -69,21 +71,18 @@ def load_of(text: str) -> Load:
         raise UserError(f"--load {text}: {schema.sentence(error.errors()[0], LOADS[kind])}") from None
 
 
-def scenario_of(options: argparse.Namespace, further: tuple[str, ...] = ()) -> Scenario:
+def scenario_of(options: argparse.Namespace, further: Mapping[str, str] = MappingProxyType({})) -> Scenario:
     """What of a scenario a joint alone has: firmware, sensors, the actuator's friction and the physics' rate.
 
-    further: keys that may be set, too. Raises UserError.
+    further: what else may be set, by how the key begins, and what to call it. Raises UserError.
     """
     from hil.scenario import load
     from robots.quantities import parse_quantity
 
     for setting in options.settings:
-        if not setting.strip().startswith((*ALONE, *(f"{key}=" for key in further))):
-            raise UserError(
-                f"--set {setting}: a joint alone has firmware.…, sensors.…, world.friction_scale"
-                + "".join(f", {key}" for key in further)
-                + " and world.rate"
-            )
+        if not setting.strip().startswith((*_ALONE, *further)):
+            names = ", ".join(["firmware.…", "sensors.…", *further.values(), "world.friction_scale"])
+            raise UserError(f"--set {setting}: a joint alone has {names} and world.rate")
     settings = [f"robot={options.robot}", *options.settings]
     if options.rate is not None:
         try:

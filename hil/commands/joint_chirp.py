@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import json
 import math
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hil.commands.joint_arguments import seconds
@@ -51,19 +50,18 @@ def _chirp(options: argparse.Namespace) -> int:
         )
     if duration * low < 2:
         raise UserError(f"--duration {options.duration}: expected at least two periods of the lowest frequency")
+    asked = None if options.amplitude is None else quantity(options, "amplitude", "--amplitude", "N m")
+    offset = quantity(options, "offset", "--offset", "N m")
     found: dict[str, Chirp] = {}
     results: dict[str, dict[str, Any]] = {}
     for law, of_law in laws_of(options, setup, open_loop=True).items():
         try:
-            size = (
-                chirp.amplitude(of_law, high)
-                if options.amplitude is None
-                else quantity(options, "amplitude", "--amplitude", "N m")
+            size = chirp.amplitude(of_law, high) if asked is None else asked
+            found[law] = chirp.run(
+                of_law, Sweeps(low, high, duration, size), offset, None if out is None else out / law
             )
         except ValueError as error:
-            raise UserError(f"--load {options.load}: {error}") from None
-        sweeps = Sweeps(low, high, duration, size)
-        found[law] = chirp.run(of_law, sweeps, quantity(options, "offset", "--offset", "N m"), _below(out, law))
+            raise UserError(str(error)) from None
         results[law] = _summary(found[law], size)
     if out is not None:
         title = f"{setup.robot.name} {setup.joint.name} at {setup.firmware.rate:g} Hz, load {options.load}"
@@ -76,10 +74,6 @@ def _chirp(options: argparse.Namespace) -> int:
     else:
         _print(setup, options, results)
     return 0
-
-
-def _below(out: Path | None, law: str) -> Path | None:
-    return None if out is None else out / law
 
 
 def _summary(chirp: Chirp, amplitude: float) -> dict[str, Any]:

@@ -5,12 +5,16 @@ from __future__ import annotations
 import argparse
 import json
 import signal
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from hil.commands import joint_calibrate, joint_chirp, joint_margins, joint_step
 from hil.commands.arguments import natural
 from hil.commands.joint_arguments import LOADS, load_of, node_id, scenario_of, seconds, which
 from hil.errors import EmulationError, UserError
+
+if TYPE_CHECKING:
+    from hil.scenario import Scenario
+    from plant.bench import Bench
 
 
 def add_parser(commands: Any) -> None:
@@ -41,10 +45,24 @@ def add_parser(commands: Any) -> None:
         module.add_parser(subcommands)
 
 
+def _set_faults(bench: Bench, joint: str, scenario: Scenario) -> None:
+    """What is wrong with the joint from the start. Raises UserError for a fault that a joint alone cannot have."""
+    for name, faults in scenario.joint.items():
+        if name != joint:
+            raise UserError(f"--set joint.{name}: the joint here is {joint}")
+        for key in faults.model_fields_set:
+            try:
+                bench.faults.set(0, key, getattr(faults, key))
+            except KeyError:
+                raise UserError(
+                    f"--set joint.{name}.{key}: a joint alone has no controller; send such commands yourself"
+                ) from None
+
+
 def _joint(options: argparse.Namespace) -> int:
     if options.can is None:
         raise UserError("name the bus, e.g. --can hil:lab, or a COMMAND (`hil joint --help` lists what there is)")
-    scenario = scenario_of(options)
+    scenario = scenario_of(options, {"joint.": "joint.NAME.…"})
     duration, load = seconds(options.duration), load_of(options.load)
     from hil.backends.lifecycle import quiet_collector
     from hil.compiled import compile_function
@@ -74,6 +92,7 @@ def _joint(options: argparse.Namespace) -> int:
         raise UserError(f"--load {options.load}: {error}") from None
     except NoModelError as error:
         raise UserError(f"--robot {options.robot}: joint {joint.name}: {error}") from None
+    _set_faults(bench, joint.name, scenario)
     bus = open_bus(options.can)
     previous: dict[int, Any] = {}
     try:

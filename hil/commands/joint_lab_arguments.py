@@ -13,14 +13,14 @@ from hil.errors import UserError
 if TYPE_CHECKING:
     from hil.joint_lab.setup import Setup
 
-_CONTROLLER = ("controller.rate", "controller.phase", "controller.compute_time")
+_CONTROLLER = {f"{key}=": key for key in ("controller.rate", "controller.phase", "controller.compute_time")}
 _PHYSICS_STEPS = 20  # per interrupt of the drive: an experiment is compared with exact theory
 _ALL, OPEN_LOOP = "all", "open"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The joint, its load and settings, and where the results go."""
-    parser.add_argument("robot", metavar="ROBOT", help="whose joint it is: vlca, hume …")
+    parser.add_argument("robot", metavar="ROBOT", help="whose joint: vlca, hume …, or a TOML file")
     parser.add_argument("--joint", metavar="NAME", help="which, if it has several, e.g. left_knee")
     parser.add_argument("--node", type=node_id, metavar="ID", help="instead of --joint: its CANopen node id")
     parser.add_argument("--load", default="locked", metavar="LOAD", help=f"on the output (locked): {LOADS}")

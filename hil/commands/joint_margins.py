@@ -42,7 +42,7 @@ def _margins(options: argparse.Namespace) -> int:
         try:
             found[law] = analysis.in_continuous_time(of_law), analysis.as_sampled(of_law)
         except ValueError as error:
-            raise UserError(f"--load {options.load}: {error}") from None
+            raise UserError(str(error)) from None
         continuous, sampled = (part.summary() for part in found[law])
         if options.bisect:
             sampled["delay_margin_found_s"] = _bisect(of_law, found[law][1])

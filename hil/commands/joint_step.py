@@ -49,15 +49,16 @@ def _step(options: argparse.Namespace) -> int:
             f"--amplitude {options.amplitude}: expected more than 0 and at most firmware.torque_limit, "
             f"{setup.firmware.torque_limit:g} N m"
         )
-    found: dict[str, StepResponse] = {}
+    found: dict[plots.StepLabel, StepResponse] = {}
     rows: list[dict[str, Any]] = []
     for row, experiment in _experiments(options, setup):
-        label = f"{row['gains']} {row['set']}, {'with' if row['stiction'] else 'without'} friction"
+        label = plots.StepLabel(row["gains"], row["set"], row["stiction"])
+        log = (
+            None if out is None else out / f"{label.gains}-{label.which}-{'with' if label.friction else 'no'}-friction"
+        )
         try:
-            response = step.run(experiment, target, duration, None if out is None else out / label.replace(" ", "-"))
-        except EmulationError as error:
-            rows.append({**row, "failed": str(error)})
-        except ValueError as error:  # the law refuses the gains
+            response = step.run(experiment, target, duration, log)
+        except (EmulationError, ValueError) as error:  # ValueError: the law refuses the gains
             rows.append({**row, "failed": str(error)})
         else:
             found[label] = response
@@ -81,7 +82,10 @@ def _experiments(options: argparse.Namespace, setup: Setup) -> Iterator[tuple[di
     tables = options.tables or (["2.1", "7.1", _FIRMWARE] if known else [_FIRMWARE])
     sets = ("stance", "swing") if options.gains == _BOTH else (options.gains,)
     frictions = (True, False) if options.stiction == _BOTH else (options.stiction == "on",)
-    ((own_law, own),) = laws_of(options, setup).items()
+    own_laws = laws_of(options, setup)
+    if len(own_laws) != 1:
+        raise UserError(f"--law {options.law}: expected one torque loop")
+    ((own_law, own),) = own_laws.items()
     for table in tables:
         if table != _FIRMWARE and not known:
             raise UserError(f"--table {table}: the tables are of Hume's joints, not of {setup.robot.name} {joint.name}")

@@ -79,18 +79,24 @@ class Chirp(NamedTuple):
 
 
 def amplitude(setup: Setup, high: float) -> float:
-    """Of a sweep up to ``high`` Hz that stays within the drive's limits of torque, its rate, and current, N m."""
+    """Of a sweep up to ``high`` Hz within the limits of torque, its rate, current and voltage of the drive, N m."""
     firmware, actuator = setup.firmware, setup.joint.actuator
     # commands come at the servo rate as steps, each of which the drive's rate limit must let pass within an interrupt
     steepest = 2.0 * math.sin(min(math.pi * high / setup.timing.servo_rate, math.pi / 2))
-    plant, law = setup.plant(), setup.law()
     omega = np.geomspace(1.0, 2.0 * math.pi * high, 300)
-    demand = sampled.response(sampled.closed_loop(plant, law), np.exp(1j * omega * setup.period))[:, -1, 0]
-    return _SHARE * min(
+    closed = sampled.closed_loop(setup.plant(), setup.law())
+    response = sampled.response(closed, np.exp(1j * omega * setup.period))[:, :, 0]
+    current = response[:, -1] / actuator.torque_per_ampere
+    bounds = [
         0.2 * firmware.torque_limit,
         firmware.torque_rate * setup.period / steepest,
-        actuator.current_limit * actuator.torque_per_ampere / float(np.abs(demand).max()),
-    )
+        actuator.current_limit / float(np.abs(current).max()),
+    ]
+    if actuator.motor is not None:
+        constant = actuator.torque_per_ampere / getattr(actuator, "efficiency", 1.0)  # V s/rad
+        voltage = actuator.motor.resistance * current + constant * 1j * omega * response[:, 0]
+        bounds.append(actuator.supply_voltage / float(np.abs(voltage).max()))
+    return _SHARE * min(bounds)
 
 
 def run(setup: Setup, sweeps: Sweeps, offset: float = 0.0, directory: Path | None = None) -> Chirp:
@@ -149,8 +155,7 @@ class _Theory:
         self._ratio, self._offset, self._angle = setup.ticks_per_report, offset, angle
 
     def responses(self) -> tuple[np.ndarray, ...]:
-        """Torque [N m] and current [A] reported over torque commanded, of the current what is ``forward``, in two parts,
-        and the open loop."""
+        """Torque [N m] and current [A] reported over torque commanded, the two parts of ``_forward`` [A], the loop."""
         seen = sampled.at_reports(sampled.closed_loop(self._plant, self._law), self._ratio, self._offset)
         closed = sampled.response(seen, np.exp(1j * self._angle))[:, :, 0]
         direct, images = (part / self._constant for part in self._forward())

@@ -19,7 +19,7 @@ class Sweeps(NamedTuple):
     high: float
     duration: float
     amplitude: float  # N m, of the largest
-    rest: float = 0.5
+    rest: float = 0.75  # what oscillates must have died away by its middle
 
     def period(self, rate: float) -> int:
         """Samples from the start of a sweep to that of the next, at ``rate`` Hz."""

@@ -46,16 +46,16 @@ def read(path: Path, node_id: int, slot: int, rate: int, ticks_per_report: int) 
     reports, commands = [], []
     with can.CanutilsLogReader(path) as reader:
         for message in reader:
-            time_ns = round(message.timestamp * 1e9)
+            time_ns, data = round(message.timestamp * 1e9), bytes(message.data)
             if message.arbitration_id == messages.STATE + node_id:
-                state = messages.decode_state(message.data)
+                state = messages.decode_state(data)
                 latest = (time_ns + 1) * rate // 10**9 // ticks_per_report
                 number = latest - (latest - state.counter & 0xFFFF)
                 reports.append((number * ticks_per_report, state))
             elif message.arbitration_id == messages.COMMAND:
                 tick = -(-time_ns * rate // 10**9)  # the first interrupt at or after its arrival
-                setpoint = messages.decode_setpoint(message.data, slot)
-                commands.append((tick, messages.command_counter(message.data), setpoint.torque))
+                setpoint = messages.decode_setpoint(data, slot)
+                commands.append((tick, messages.command_counter(data), setpoint.torque))
     exchange = Exchange(
         np.array([tick for tick, _ in reports]),
         np.array([state.statusword for _, state in reports]),

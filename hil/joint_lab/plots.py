@@ -34,7 +34,7 @@ def bode(curves: Mapping[str, Curve], title: str, path: Path) -> None:
     """Bode plot of open loops, the crossover that counts marked with its phase margin."""
     figure, (size, phase) = _figure(2, 1, height=6.2, sharex=True)
     for label, curve in curves.items():
-        omega = frequencies(curve.low, curve.high)
+        omega = frequencies(curve.low, 0.9 * curve.high)  # at a sampled loop's very end the phase jumps
         values = curve.loop(omega)
         hertz = omega / _TWO_PI
         (line,) = size.loglog(hertz, np.abs(values), linewidth=1.2)
@@ -129,17 +129,34 @@ def measured_loops(chirps: Mapping[str, Chirp], title: str, path: Path) -> None:
     _save(figure, path)
 
 
-def steps(responses: Mapping[str, StepResponse], title: str, path: Path) -> None:
-    """Torque sensed over time, with the target and the band of five percent."""
-    figure, axes = _figure(1, 1, height=4.5)
-    for label, response in responses.items():
-        axes.plot(1e3 * response.seconds, response.torque, linewidth=1.1, label=label)
-    target = next(iter(responses.values())).target
-    axes.axhline(target, color="k", linestyle="--", linewidth=1.0, label="commanded")
-    for share in (0.95, 1.05):
-        axes.axhline(share * target, **_LIMIT)
-    axes.set(xlabel="t [ms]", ylabel="torque [N m]")
-    axes.legend(fontsize=8, loc="lower right")
+class StepLabel(NamedTuple):
+    """Of a step response: whose gains, which set, and whether there was dry friction."""
+
+    gains: str
+    which: str
+    friction: bool
+
+
+def steps(responses: Mapping[StepLabel, StepResponse], title: str, path: Path) -> None:
+    """Torque sensed over time, one panel per origin of the gains, with the target and a band of five percent."""
+    origins = list(dict.fromkeys(label.gains for label in responses))
+    figure, panels = _figure(1, len(origins), height=4.0, width=4.0 * max(len(origins), 2), sharey=True)
+    for axes, origin in zip(np.ravel(panels), origins, strict=True):
+        of_origin = {label: response for label, response in responses.items() if label.gains == origin}
+        for label, response in of_origin.items():
+            style: dict[str, Any] = {
+                "color": "tab:blue" if label.which == "stance" else "tab:orange",
+                "linestyle": "-" if label.friction else "--",
+                "label": f"{label.which}, {'with' if label.friction else 'without'} friction",
+            }
+            axes.plot(1e3 * response.seconds, response.torque, linewidth=1.1, **style)
+        target = next(iter(of_origin.values())).target
+        axes.axhline(target, color="k", linewidth=0.8)
+        for share in (0.95, 1.05):
+            axes.axhline(share * target, **_LIMIT)
+        axes.set(xlabel="t [ms]", title=origin if origin == "firmware" else f"Table {origin}")
+        axes.legend(fontsize=8, loc="lower right")
+    np.ravel(panels)[0].set(ylabel="torque [N m]")
     figure.suptitle(title)
     _save(figure, path)
 

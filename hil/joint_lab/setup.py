@@ -22,16 +22,19 @@ from robots.description import Joint, Robot
 def linear_actuator(joint: Joint, load: Load) -> LinearActuator:
     """The linear model of ``joint`` with ``load``, without dry friction, in equivalent rotary coordinates.
 
-    Raises ValueError for a load that is not linear.
+    Raises ValueError for a load that is not linear, and for an actuator without the numbers of the model.
     """
     a = joint.actuator
+    for name in ("rotor_inertia", "viscous", "stiffness", "damping", "torque_per_ampere"):
+        if not hasattr(a, name):  # one of a user's own
+            raise ValueError(f"{joint.name}: {type(a).__name__} has no {name}, which the linear model needs")
     clamped = LinearActuator(a.rotor_inertia, a.viscous, a.stiffness, a.damping, a.torque_per_ampere)
     if isinstance(load, Locked):
         return clamped
     if isinstance(load, Inertia):
         seen = 1.0 / ratio(joint, load.at) ** 2  # through the linkage
         return clamped._replace(load=seen * load.inertia, load_damping=seen * load.damping)
-    raise ValueError("a pendulum is not linear: take locked or inertia=…")
+    raise ValueError("load: a pendulum is not linear, locked and inertia are")
 
 
 def ratio(joint: Joint, q: float) -> float:

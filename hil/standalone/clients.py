@@ -11,9 +11,15 @@ from collections.abc import Sequence
 from typing import Any
 
 from bus.frames import Frame
-from bus.port_client import Client, peer
+from bus.link import NEVER
+from bus.port_client import UNSEEN_NS, Client, peer
 from bus.ports import PortServer
 from bus.records import UNSEEN, pack_frame
+
+
+def node_name(port: int) -> str:
+    """What the client at ``port`` is called."""
+    return f"port{port}"
 
 
 class PortClient(Client):
@@ -22,6 +28,9 @@ class PortClient(Client):
     def __init__(self, connection: socket.socket, port: int) -> None:
         super().__init__(connection)
         self.port = port
+        self.node = node_name(port)
+        self.faults: dict[str, Any] = {}  # what is wrong with it, by key
+        self.process = _command(self.pid)
 
     @property
     def in_wire(self) -> int:
@@ -35,20 +44,47 @@ class PortClient(Client):
         frame = next((frame for frame in waiting if frame in delivered), None) or min(waiting, key=_rank)
         self.landed(time_ns, self.port, frame)
 
-    def unfit(self, frame: Frame, now_ns: int) -> None:
-        """The bus does not carry ``frame``, which was due."""
-        n = next(n for n, (_, sent, _) in enumerate(self._flying) if sent is frame)
-        self._tell_fate(UNSEEN, self._flying[n][0], now_ns)
-        del self._flying[n]
+    @property
+    def starved(self) -> bool:
+        """Whether a frame waits that it was told of that it had not been on the bus in time."""
+        return any(since == NEVER for _, _, since in self._flying)
+
+    def _tell_unseen(self, now_ns: int) -> None:
+        """The wire knows what has been on the bus: a frame that has not still waits there, and keeps its place."""
+        for n, (tag, frame, since) in enumerate(self._flying):
+            if since <= now_ns - UNSEEN_NS:
+                self._tell_fate(UNSEEN, tag, now_ns)
+                self._flying[n] = (0, frame, NEVER)
+
+    def next_ns(self) -> int:
+        oldest = min((since for _, _, since in self._flying), default=NEVER)
+        return min(super().next_ns(), oldest if oldest == NEVER else oldest + UNSEEN_NS)
+
+    def given_up(self, frame: Frame, now_ns: int) -> None:
+        """``frame``, which was due, will not be on the bus any more."""
+        n = next((n for n, (_, sent, _) in enumerate(self._flying) if sent == frame), None)
+        if n is not None:
+            self._tell_fate(UNSEEN, self._flying[n][0], now_ns)
+            del self._flying[n]
+
+    def abandon(self) -> None:
+        """Forget what it has sent."""
+        self._backlog.clear()
+        self._flying.clear()
 
     def summary(self) -> dict[str, Any]:
-        try:
-            with open(f"/proc/{self.pid}/comm", encoding="utf-8", errors="replace") as file:
-                process = file.read().strip()
-        except OSError:
-            process = "?"
+        """Who it is, and how many frames it has had to do with."""
         counts = {key: getattr(self, key) for key in ("sent", "received", "missed", "malformed")}
-        return {"port": self.port, "pid": self.pid, "process": process, **counts}
+        about = {"node": self.node, "port": self.port, "pid": self.pid, "process": self.process}
+        return {**about, **counts, "faults": dict(self.faults)}
+
+
+def _command(pid: int) -> str:
+    try:
+        with open(f"/proc/{pid}/comm", encoding="utf-8", errors="replace") as file:
+            return file.read().strip()
+    except OSError:
+        return "?"
 
 
 def _rank(frame: Frame) -> tuple[int, bool, int]:
@@ -74,19 +110,25 @@ class ClientPorts(PortServer):
         new = []
         with contextlib.suppress(BlockingIOError, ConnectionError):
             while True:
-                connection, _ = self._listener.accept()
+                connection, bound_to = self._listener.accept()
                 if peer(connection)[1] != os.getuid():
                     connection.close()
+                elif bound_to:  # it only asks: no node of the bus, which would acknowledge
+                    self._answer(connection, self._hello)
                 elif not self._unused:
-                    with contextlib.suppress(OSError):
-                        connection.send(self._full)
-                    connection.close()
+                    self._answer(connection, self._full)
                 else:
                     client = PortClient(connection, self._unused.popleft())
-                    client.give(self._hello)
+                    client.give(json.dumps({**json.loads(self._hello), "node": client.node}).encode())
                     self.attached[client.port] = client
                     new.append(client)
         return new
+
+    @staticmethod
+    def _answer(connection: socket.socket, hello: bytes) -> None:
+        with contextlib.suppress(OSError):
+            connection.send(hello)
+        connection.close()
 
     def deliver(self, time_ns: int, sender: int, frame: Frame, missed: int) -> None:
         """Give ``frame`` to every client but its sender, and the ports whose bits of ``missed`` are set."""

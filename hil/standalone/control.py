@@ -12,7 +12,9 @@ from bus.ports import PortError, connect, find_runs, served
 from bus.zenoh_link import keys
 from hil import control
 from hil.errors import EmulationError, UserError
+from hil.injection import Injectable, of_standalone_bus
 from hil.schema import nearest
+from hil.standalone.faults import unknown
 
 _GONE_AFTER_S = 10.0
 
@@ -36,6 +38,20 @@ def find(name: str) -> dict[str, Any]:
 def status(name: str) -> dict[str, Any]:
     """The status of the bus ``name``, see ``StandaloneBus.status``."""
     return control.ask(name, find(name)["endpoint"], keys(name).status)
+
+
+def injectable(key: str) -> dict[str, Injectable]:
+    """All that can be injected into the stand-alone bus that ``key`` is of, with the clients that it has; empty when it
+    is of none. Raises UserError for a client that it has not."""
+    name = next((name for name in buses() if f"{key}.".startswith(f"bus.{name}.")), None)
+    if name is None:
+        return {}
+    clients = status(name)["clients"]
+    known = of_standalone_bus(name, [client["node"] for client in clients])
+    node = f"bus.{name}.node."
+    if key.startswith(node) and not any(f"{one}.".startswith(f"{key}.") for one in known):
+        raise UserError(f"{key}: {unknown(name, key, clients)}")
+    return known
 
 
 def down(name: str) -> int:

@@ -19,26 +19,18 @@ from bus.link import NEVER
 from bus.records import ControllerState, pack_error
 from bus.talkers import Babbler, BackgroundTraffic, Talker
 from bus.wire import Wire
-from hil.errors import UserError
-from hil.faults import set_wire
-from hil.injection import of_bus
 from hil.lateness import Lateness
-from hil.scenario import parse_value
 from hil.standalone.clients import ClientPorts, PortClient
+from hil.standalone.faults import ClientFaults
 from hil.standalone.record import Record
 from hil.streams import streams
 
 MAX_CLIENTS = 32
 _FLUSH_NS = 100_000_000
 _LOAD_SAMPLES = 11  # one per flush: the load of the last second
+_AT_A_TIME = 64  # events on the wire that are caught up with before the clients are looked at
 _SPIN_NS = 40_000  # a sleeper wakes this much too late: sleep short, then look again and again
 _PR_SET_TIMERSLACK = 29
-
-
-def injectable(name: str) -> list[str]:
-    """Keys of what can be injected into the stand-alone bus ``name``: what its wire does, and two nodes of its own that
-    babble or load it."""
-    return list(of_bus(name))
 
 
 class _Requests(deque[Callable[[], None]]):
@@ -71,16 +63,20 @@ class StandaloneBus:
         random = streams(seed)
         self._wire = Wire(name, config, MAX_CLIENTS + 2, random)
         self._clientless = MAX_CLIENTS + 1  # a port that no client gets
-        self._talkers: dict[str, Talker] = {
-            "babble": Babbler(self._wire, MAX_CLIENTS, config.babble, fd),
-            "background": BackgroundTraffic(self._wire, MAX_CLIENTS + 1, config, random, fd),
-        }
+        babbler = Babbler(self._wire, MAX_CLIENTS, config.babble, fd)
+        background = BackgroundTraffic(self._wire, MAX_CLIENTS + 1, config, random, fd)
+        self._talkers: tuple[Talker, ...] = (babbler, background)
+        self._faults = ClientFaults(
+            name, self._wire, {"babble": (babbler, MAX_CLIENTS), "background": (background, MAX_CLIENTS + 1)},
+            range(MAX_CLIENTS), config,
+        )  # fmt: skip
         self._ports = ClientPorts(
             name, MAX_CLIENTS, endpoint, fd=fd, arbitration_rate=config.arbitration_rate,
             data_rate=config.data_rate,
         )  # fmt: skip
         self.record: Record | None = None
         self._busy_clients: set[PortClient] = set()  # who has frames in the wire
+        self._leaving: list[PortClient] = []  # who has left while a frame of its was under way
         self._look_at = NEVER  # when a client wants to be looked after that has sent nothing
         self._flush_at = NEVER
         self._busy = deque([(0, 0)], maxlen=_LOAD_SAMPLES)  # time, busy time of the wire
@@ -126,13 +122,13 @@ class StandaloneBus:
 
     def _upcoming(self) -> int:
         """Time of the next event on the wire, or of the next frame of a talker."""
-        return min(self._wire.next_time(), *[talker.next_ns for talker in self._talkers.values()])
+        return min(self._wire.next_time(), *[talker.next_ns for talker in self._talkers])
 
     def _advance(self, due: int, now: int) -> None:
         """The events of the time ``due``, looked at at ``now``."""
         self.now_ns = due
         wire, ports = self._wire, self._ports
-        for talker in self._talkers.values():
+        for talker in self._talkers:
             if talker.next_ns <= due:
                 talker.advance(due)
         deliveries = wire.advance(due)
@@ -147,13 +143,26 @@ class StandaloneBus:
         for at, port, error in wire.error_frames():
             if port in ports.attached:
                 ports.attached[port].give(pack_error(error, at, port))
+                self._tell_state(ports.attached[port])
             # of the ports without a client one speaks for all
             if self.record is not None and (port in ports.attached or port == self._clientless):
                 self.record.frame(at, error)
+        self._tell_given_up(due)
         for client in tuple(self._busy_clients):
             if client.in_wire > wire.waiting(client.port):
                 client.completed(due, [delivery.frame for delivery in deliveries if delivery.sender == client.port])
                 self._serve(client, due)
+        if self._leaving:
+            leaving, self._leaving = self._leaving, []
+            for client in leaving:
+                self._unplug(client, due)
+
+    def _tell_given_up(self, now: int) -> None:
+        for port, frame in self._wire.given_up():
+            client = self._ports.attached.get(port)
+            if client is not None:
+                client.given_up(frame, now)
+                self._serve(client, now)
 
     def _attend(self, ready: list[tuple[selectors.SelectorKey, int]]) -> None:
         """Sockets that have something. All frames of one look are offered at the same instant, and arbitrate."""
@@ -161,6 +170,7 @@ class StandaloneBus:
         for key, _ in ready:
             if key.fileobj is self._ports:
                 for new in self._ports.accept():
+                    self._faults.plug(new.port, now)
                     self._selector.register(new.socket, selectors.EVENT_READ, new)
             elif key.fileobj == self._signalled:
                 os.read(self._signalled, 64)
@@ -176,22 +186,30 @@ class StandaloneBus:
                 self._serve(client, now)
 
     def _catch_up(self) -> int:
-        """The time now, with what has happened on the wire before it done."""
+        """The time now, with what has happened on the wire before it done; or, of a wire that takes longer to compute
+        than to wait for, as far as it has come: its clients must not wait for that."""
         now = max(time.monotonic_ns() - self._origin, self.now_ns)
-        while (due := self._upcoming()) < now:
+        for _ in range(_AT_A_TIME):
+            due = self._upcoming()
+            if due >= now:
+                self.now_ns = now
+                break
             self._advance(due, now)
-        self.now_ns = now
-        return now
+        return self.now_ns
 
     def _serve(self, client: PortClient, now: int) -> None:
         """Offer what ``client`` wants on the bus, as far as its transmit queue has room."""
         wire, port = self._wire, client.port
+        frames = client.due(now)
         if not client.left:
-            client.tell_state(ControllerState(*wire.ports_state(port)))
-        for frame in client.due(now):
+            self._tell_state(client)
+        elif client.faults or client.starved:
+            client.abandon()
+            frames = []
+        for frame in frames:
             if frame.fd and not self.fd:
                 self.misfits += 1
-                client.unfit(frame, now)
+                client.given_up(frame, now)
             elif not wire.offer(now, port, frame):
                 client.refused(frame)
         if client.in_wire:
@@ -199,8 +217,23 @@ class StandaloneBus:
         else:
             self._busy_clients.discard(client)
             if client.left and client.idle:
-                self._ports.release(client)
+                self._unplug(client, now)
         self._look_at = min(self._look_at, client.next_ns())
+
+    def _unplug(self, client: PortClient, now: int) -> None:
+        """Take a client that has left off the wire, with its faults."""
+        if self._ports.attached.get(client.port) is not client:
+            return
+        if client.faults:
+            self.log(f"{client.node} has left, and with it {', '.join(client.faults)}")
+            client.faults.clear()
+        if self._faults.unplug(client.port, now):
+            self._ports.release(client)
+        elif client not in self._leaving:
+            self._leaving.append(client)
+
+    def _tell_state(self, client: PortClient) -> None:
+        client.tell_state(ControllerState(*self._wire.ports_state(client.port)))
 
     def _look(self) -> None:
         """Serve those who want to be looked after though they have sent nothing: periodic frames are due."""
@@ -220,19 +253,19 @@ class StandaloneBus:
 
     def inject(self, key: str, value: str | float) -> Any:
         """Change one impairment from now on. Returns its value in SI units; raises UserError for a wrong one."""
-        parsed = parse_value(key, value)
-        path = key.removeprefix(f"bus.{self.name}.")
-        talker, _, of_talker = path.partition(".")
-        try:
-            if talker in self._talkers:
-                self._talkers[talker].set(of_talker, parsed, self.now_ns)
-            else:
-                set_wire(self._wire, path, parsed, self.now_ns)
-        except (KeyError, ValueError) as error:
-            raise UserError(f"{key} = {value}: nothing to inject ({error})") from None
-        self.injected.append({"time_s": self.now_ns * 1e-9, "key": key, "value": str(value)})
-        self.log(f"injected {key} = {value}")
+        parsed, client = self._faults.set(key, value, self._ports.attached.values(), self.now_ns)
+        entry = {"time_s": self.now_ns * 1e-9, "key": key, "value": str(value)}
+        whose = ""
+        if client is not None:
+            entry |= {"process": client.process, "pid": client.pid}
+            whose = f" ({client.process}, {client.pid})"
+        self.injected.append(entry)
+        self.log(f"injected {key} = {value}{whose}")
         return parsed
+
+    def _summary(self, client: PortClient) -> dict[str, Any]:
+        tec, rec, state = self._wire.ports_state(client.port)
+        return {**client.summary(), "state": state.name.lower().replace("_", " "), "tec": tec, "rec": rec}
 
     def log(self, sentence: str) -> None:
         """Write what happened now into the record."""
@@ -279,7 +312,7 @@ class StandaloneBus:
             "collisions": wire.collisions,
             "misfits": self.misfits,
             "identifiers": identifiers,
-            "clients": [client.summary() for client in self._ports.attached.values()],
+            "clients": [self._summary(client) for client in self._ports.attached.values()],
             "lateness": self.lateness.summary(),
             "injected": self.injected,
             "log": None if record is None else str(record.directory),

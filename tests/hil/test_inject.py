@@ -162,7 +162,7 @@ def test_a_scheduled_injection_is_applied_at_its_time_and_changes_the_run() -> N
 
 def test_every_injectable_key_is_one_of_the_scenarios_and_keeps_its_range() -> None:
     listed = injectable(description.load("hume"))
-    assert listed == keys_of_all_robots() and len(listed) == len(set(listed)) > 90
+    assert listed.items() <= keys_of_all_robots().items() and len(listed) > 90
     for key, entry in listed.items():
         assert parse_value(key, entry.written(entry.default)) == entry.default, key
         bounds = re.fullmatch(r"(\S+) to (\S+?)( \w+)?", entry.range)

@@ -242,6 +242,9 @@ def test_pins_carry_the_scales_of_the_electronics():
         turned = joint.sensor.encoder * theta, joint.sensor.encoder * zero
         assert row[pins.MOTOR_ENCODER] == round(turned[0]) - round(turned[1])  # from zero at power-on
         assert row[pins.SPRING_ENCODER] == round(joint.spring_counts_per_rad * (theta - q))
+        assert row[pins.JOINT_ENCODER] == round(joint.sensor.joint_encoder * q)
+        assert row[pins.TEMPERATURE_ADC] == round(truth[f"winding.{joint.name}"] / pins.KELVIN_PER_COUNT)
+        assert row[pins.FORCE_ADC] == 0  # Hume has no load cells
 
 
 def test_origin_is_the_midpoint_of_the_feet_and_the_right_foot_is_in_front():

@@ -75,7 +75,7 @@ def test_every_actuator_has_what_firmware_asks_for(name):
 
 @pytest.mark.parametrize(("joint", "nominal"), [("right_abduction", 0.74), ("left_knee", 0.50)])
 def test_hume_s_motors_stand_their_nominal_torque_for_ever(joint, nominal):
-    """Makers' data sheets, see robots/hume.toml: stalled at it, heat in is heat out at the winding's limit."""
+    """Thermal resistances are derived from it (robots/hume.toml): stalled, heat in is heat out at the limit."""
     a = description.load("hume").joint(joint).actuator
     rise = a.thermal.winding_limit - 25.0
     heat = a.motor.resistance * (1 + 0.00393 * rise) * (nominal / a.torque_constant) ** 2

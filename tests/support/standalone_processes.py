@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import subprocess
 import sys
@@ -50,6 +51,36 @@ def wait_for(condition: Callable[[], Any], what: str) -> Any:
         assert time.monotonic() < deadline, f"{what} did not happen"
         time.sleep(0.002)
     return value
+
+
+def gone(pid: int) -> bool:
+    """Whether a process has ended (its parent, which is init, may not have looked yet)."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] in "ZX"
+    except (FileNotFoundError, ProcessLookupError):
+        return True
+
+
+def status(name: str, state: Path) -> dict[str, Any]:
+    result = hil("bus", "status", name, "--json", state=state)
+    assert result.returncode == 0, result.stderr
+    return json.loads(result.stdout)
+
+
+def attach(name: str, **options: Any) -> can.BusABC:
+    return can.Bus(interface="hil", channel=name, fd=True, **options)
+
+
+def message(identifier: int, data: bytes = bytes(8), **options: Any) -> can.Message:
+    return can.Message(
+        arbitration_id=identifier, data=data, is_extended_id=False, is_fd=True, bitrate_switch=True, **options
+    )
+
+
+def receive(bus: can.BusABC) -> can.Message:
+    received = bus.recv(PATIENCE_S)
+    assert received is not None
+    return received
 
 
 class Master:

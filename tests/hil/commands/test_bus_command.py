@@ -8,7 +8,6 @@ import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -24,53 +23,20 @@ from bus.timing import frame_ns
 from hil.cli import main
 from hil.standalone.control import buses
 from hil.standalone.server import StandaloneBus
-from tests.support.standalone_processes import PATIENCE_S, hil, start, unique, wait_for
+from tests.support.standalone_processes import (
+    PATIENCE_S,
+    attach,
+    gone,
+    hil,
+    message,
+    receive,
+    start,
+    status,
+    unique,
+    wait_for,
+)
 
 RATES = {"arbitration_rate": 1e6, "data_rate": 5e6}
-
-
-def gone(pid: int) -> bool:
-    """Whether a process has ended (its parent, which is init, may not have looked yet)."""
-    try:
-        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] in "ZX"
-    except (FileNotFoundError, ProcessLookupError):
-        return True
-
-
-def status(name: str, state: Path) -> dict[str, Any]:
-    result = hil("bus", "status", name, "--json", state=state)
-    assert result.returncode == 0, result.stderr
-    return json.loads(result.stdout)
-
-
-@pytest.fixture
-def lab(tmp_path: Path) -> Iterator[tuple[str, int]]:
-    """A bus in the background: its name and process."""
-    name = unique("lab")
-    result = hil("bus", "up", name, "--json", state=tmp_path)
-    assert result.returncode == 0, result.stderr
-    pid = json.loads(result.stdout)["pid"]
-    try:
-        yield name, pid
-    finally:
-        if not gone(pid):
-            os.kill(pid, signal.SIGKILL)
-
-
-def attach(name: str, **options: Any) -> can.BusABC:
-    return can.Bus(interface="hil", channel=name, fd=True, **options)
-
-
-def message(identifier: int, data: bytes = bytes(8), **options: Any) -> can.Message:
-    return can.Message(
-        arbitration_id=identifier, data=data, is_extended_id=False, is_fd=True, bitrate_switch=True, **options
-    )
-
-
-def receive(bus: can.BusABC) -> can.Message:
-    received = bus.recv(PATIENCE_S)
-    assert received is not None
-    return received
 
 
 def test_up_detaches_says_how_to_attach_and_down_leaves_nothing(tmp_path: Path) -> None:

@@ -4,6 +4,8 @@ import math
 
 import numpy as np
 import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
 from hil.joint_lab.actuator import LinearActuator, StateSpace
@@ -11,6 +13,9 @@ from hil.joint_lab.continuous import Gains
 from hil.joint_lab.impedance import continuous, passivity, sampled
 from hil.joint_lab.margins import frequencies
 from hil.joint_lab.sampled import SampledLaw
+from joint_firmware.config import TorqueGains
+from joint_firmware.laws.cascade import not_passive
+from robots import description
 
 SEA = LinearActuator(inertia=0.09, viscous=1.5, stiffness=450.0, damping=0.2, torque_per_ampere=6.0)
 OMEGA = frequencies(0.1, 2e3)
@@ -57,6 +62,22 @@ def test_integrating_torque_is_passive_only_below_a_bound():
     found = passivity(low, continuous("PID_m", rigid, Gains(kp=kp, ki=1.1 * bound, kd=kd), low))
     assert not found.passive and found.worst is not None and found.worst < 0
     assert found.from_hz is not None and found.worst_hz is not None and found.from_hz <= found.worst_hz
+
+
+@settings(max_examples=60)
+@given(kp=st.floats(0.2, 30.0), ki=st.floats(0.0, 400.0), kd=st.floats(1.0, 60.0), w_i=st.floats(0.5, 300.0))
+def test_the_cascade_is_passive_where_its_own_criterion_says_so(kp, ki, kd, w_i):
+    """The criterion of ``joint_firmware.laws.cascade`` was derived from the admittance, without the spring's losses."""
+    joint = description.load("hume").joint("left_knee")
+    a = joint.actuator
+    gains = TorqueGains(kp=kp, ki=ki, kd=f"{kd!r} N m s/rad")
+    # clear of the boundaries, where a grid of frequencies cannot tell
+    low, high = w_i * kp * kd / a.viscous, (1 + kp) * (a.viscous + kd) / a.rotor_inertia
+    assume(abs(ki / low - 1) > 0.1 and abs((ki + w_i * kp) / high - 1) > 0.1)
+    rigid = LinearActuator(a.rotor_inertia, a.viscous, a.stiffness, 0.0, a.torque_per_ampere)
+    omega = frequencies(1e-3, 1e5)
+    z = continuous("cascade", rigid, Gains(kp=kp, ki=ki, kd=kd, velocity_integral=w_i), omega)
+    assert passivity(omega, z).passive == (not not_passive(joint, gains, w_i))
 
 
 def test_a_fast_sampled_law_has_the_impedance_of_the_continuous_one():
