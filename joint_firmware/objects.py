@@ -53,6 +53,7 @@ def rated_current(joint: Joint) -> float:
 
 def drive_dictionary(robot: Robot, joint: Joint, config: FirmwareConfig) -> ObjectDictionary:
     """The dictionary of ``joint``'s drive; what is not a constant nobody answers for yet."""
+    config = config.of_joint(joint.name)
     slot = next(bus.joints.index(joint.name) for bus in robot.buses if joint.name in bus.joints)
     objects = [*_communication(robot.name, joint, slot, config), *_own(joint, config), *_device(joint, config)]
     return ObjectDictionary(objects, joint.node_id)
