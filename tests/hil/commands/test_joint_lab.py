@@ -121,7 +121,7 @@ def test_gains_that_a_law_refuses_are_told_in_the_table(capsys):
         (["margins", "vlca", "--load", "pendulum"], "not linear"),
         (["margins", "vlca", "--load", "locked,at=2rad"], "not to at = 2"),
         (["margins", "vlca", "--set", "link.command.delay=1ms"], "a joint alone has"),
-        (["margins", "vlca", "--set", "firmware.velocity_estimator=M"], "at rest"),
+        (["margins", "vlca", "--set", "firmware.velocity_estimator=M"], "has no derivative"),
         (["chirp", "vlca", "--from", "3"], "--from"),
         (["chirp", "vlca", "--from", "100Hz", "--to", "50Hz"], "expected them to rise"),
         (["chirp", "vlca", "--to", "2kHz"], "report rate"),
