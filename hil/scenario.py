@@ -15,6 +15,7 @@ from bus.config import BusConfig, LinkConfig
 from central_controller.config import ControllerConfig
 from hil import schema
 from hil.analysis.verdict import VerdictConfig
+from hil.calibration import file as calibration
 from hil.errors import UserError
 from joint_firmware.config import FirmwareConfig
 from plant.config import JointFaults, PushConfig, SensorConfig, StanceConfig, TerrainConfig, WorldConfig
@@ -72,7 +73,20 @@ def load(name: str, settings: typing.Sequence[str] = ()) -> Scenario:
         if not separator or not all(part.strip() for part in key.split(".")):
             raise UserError(f"--set {setting}: expected KEY=VALUE, for example --set link.command.delay=3ms")
         _assign(data, key.strip(), _literal(text.strip()))
+    _calibrate(data, Path(source).parent if source.endswith(".toml") else Path(), settings)
     return complete(data, source)
+
+
+def _calibrate(data: dict[str, Any], folder: Path, settings: typing.Sequence[str]) -> None:
+    """Take over the file that ``firmware.calibration`` names: beside the scenario, or if --set names it from here."""
+    key = f"firmware.{calibration.KEY}"
+    if any(setting.partition("=")[0].strip() == key for setting in settings):
+        folder = Path()
+    try:
+        robot = description.load(data.get("robot", Scenario.model_fields["robot"].default))
+    except (description.UnknownRobotError, AttributeError, TypeError):
+        return  # which the scenario's own check tells
+    calibration.take_over(data, robot, folder)
 
 
 def complete(data: dict[str, Any], source: str) -> Scenario:
@@ -216,6 +230,10 @@ def _inconsistencies(scenario: Scenario) -> Iterator[str]:
     ):
         if value <= 0:
             yield f"{key} = {value:g} s: expected more than 0 s"
+    for name in scenario.sensors.encoder_offset:
+        if name not in robot.joint_names:
+            near = schema.nearest(name, robot.joint_names, "sensors.encoder_offset")
+            yield f"unknown key {f'sensors.encoder_offset.{name}'!r}{near}"
     yield from _wrong_laws(firmware, robot)
     yield from _wrong_faults(scenario, robot)
 

@@ -17,6 +17,7 @@ from joint_firmware.config import FirmwareConfig, TorqueGains
 from joint_firmware.laws import drive_law, signals
 from joint_firmware.protection_config import UNPROTECTED
 from robots import pins
+from robots.actuators import Hydraulic
 from robots.description import Joint
 
 _NO_LIMIT = 1e9  # N m
@@ -31,7 +32,8 @@ def _gains(config: FirmwareConfig, gain_set: int) -> TorqueGains:
 def sampled_law(
     joint: Joint, firmware: FirmwareConfig, gain_set: int, mode: int = Mode.TORQUE, at: float = 0.0
 ) -> SampledLaw:
-    """From (motor coordinate [rad], deflection [rad], torque commanded [N m]) to motor torque [N m], at joint ``at``.
+    """From (motor coordinate [rad], deflection [rad], torque commanded [N m]) to motor torque [N m], at joint ``at``;
+    of a hydraulic joint from (joint angle [rad], effort [N m], torque commanded [N m]) to the valve's effort.
 
     ``mode`` is Mode.TORQUE, or Mode.OPEN_LOOP for the drive without its torque loop. States that the motor torque does
     not depend on, those of the protection, are left out.
@@ -50,6 +52,7 @@ def sampled_law(
     u[[signals.U_KP, signals.U_KI, signals.U_KD]] = gains.kp, gains.ki, gains.kd
     counts = np.zeros(signals.COUNTS_SIZE)
     counts[pins.MOTOR_ENCODER] = motor_coordinate(joint, at) * joint.sensor.encoder
+    counts[pins.JOINT_ENCODER] = at * joint.sensor.joint_encoder
     p = law.values(joint, config)
     smooth = without_rounding(law.function)
     x = np.zeros(len(law.states))
@@ -59,12 +62,16 @@ def sampled_law(
     kept = _seen(a, c)
     if not np.allclose(before[kept], x[kept], rtol=1e-9, atol=1e-12):
         raise AssertionError(f"{config.law} is not at rest after {_TICKS} interrupts")
-    encoders = [pins.MOTOR_ENCODER, pins.SPRING_ENCODER]
-    scales = [joint.sensor.encoder, joint.spring_counts_per_rad]  # counts per rad
+    if isinstance(joint.actuator, Hydraulic):
+        sensors = [pins.JOINT_ENCODER, pins.FORCE_ADC]
+        scales = [joint.sensor.joint_encoder, 1.0 / joint.sensor.force_resolution]  # counts per rad, per N m
+    else:
+        sensors = [pins.MOTOR_ENCODER, pins.SPRING_ENCODER]
+        scales = [joint.sensor.encoder, joint.spring_counts_per_rad]  # counts per rad
     torque = joint.actuator.ampere_per_count * joint.actuator.torque_per_ampere  # N m per count of current
     system = StateSpace(
-        a[np.ix_(kept, kept)], np.hstack([b_counts[:, encoders] * scales, b_u[:, [signals.U_TORQUE]]])[kept],
-        torque * c[:, kept], torque * np.hstack([d_counts[:, encoders] * scales, d_u[:, [signals.U_TORQUE]]]),
+        a[np.ix_(kept, kept)], np.hstack([b_counts[:, sensors] * scales, b_u[:, [signals.U_TORQUE]]])[kept],
+        torque * c[:, kept], torque * np.hstack([d_counts[:, sensors] * scales, d_u[:, [signals.U_TORQUE]]]),
     )  # fmt: skip
     return SampledLaw(system, 1.0 / config.rate)
 
