@@ -74,8 +74,7 @@ MISTAKES: dict[tuple[str, ...], str] = {
         "link.command.dely",
         "3ms",
     ): "unknown key 'link.command.dely'; did you mean 'link.command.delay'? (`hil inject --list` lists all)",
-    ("inject", "link.command.delay", "3"): "link.command.delay = '3': '3' has no unit: write one of "
-    "s, ms, us, µs, ns",
+    ("inject", "link.command.delay", "3"): "link.command.delay = '3': '3' has no unit: write one of s, ms, us, µs, ns",
     ("inject", "link.command.loss", "2"): "link.command.loss = '2': expected at most 1",
     ("inject", "link.command.delay", "3ms", "--run", "no-such-run"): "no run 'no-such-run' is going on",
 }
@@ -101,15 +100,11 @@ def test_a_wrong_option_names_the_help(capsys: pytest.CaptureFixture[str], argum
 
 def test_a_stance_out_of_reach_names_the_keys(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     far = ["--set", "stance.hip_height=5m", "--out", str(tmp_path / "run")]
-    assert re.match(
-        r"stand: stance: .*lower stance.hip_height", refused(capsys, "run", "stand", *SHORT, *far)
-    )
+    assert re.match(r"stand: stance: .*lower stance.hip_height", refused(capsys, "run", "stand", *SHORT, *far))
 
 
 @pytest.mark.parametrize("record", ["run.json", "signals.mcap"])
-def test_a_record_is_never_overwritten(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path, record: str
-) -> None:
+def test_a_record_is_never_overwritten(capsys: pytest.CaptureFixture[str], tmp_path: Path, record: str) -> None:
     """A run that was killed has left no run.json, but its signals."""
     (tmp_path / record).write_text("precious")
     sentence = refused(capsys, "run", "stand", *SHORT, "--out", str(tmp_path))
