@@ -11,7 +11,7 @@ that the phase margin is ``PHASE_MARGIN``, with the integral's corner at a tenth
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import NamedTuple
@@ -23,7 +23,7 @@ from bus.messages import Mode, Setpoint, State
 from hil.errors import EmulationError
 from hil.joint_lab import hydraulics, log, sampled
 from hil.joint_lab.law import sampled_law
-from hil.joint_lab.margins import Crossover, Margins, Response, margins
+from hil.joint_lab.margins import Crossover, Response, frequencies, margins
 from hil.joint_lab.master import Command
 from hil.joint_lab.rig import Rig
 from hil.joint_lab.setup import Setup, ratio
@@ -37,6 +37,7 @@ PHASE_MARGIN = math.radians(50.0)
 CORNER = 0.1  # of the integral, of the crossover
 LAW = "valve"
 _BOOT_S = 0.1
+_LOW = 1.0  # rad/s
 _WEAKEST, _STRIDE = 5e-2, 0.3  # where a gain is looked for, and in which steps of its logarithm
 _PROBE_S = 0.05  # of commands, to see how late they act
 
@@ -61,33 +62,48 @@ def tune(setup: Setup, rate: float, delay: float) -> Loop:
         law = sampled_law(joint, firmware, setup.gain_set, at=locked.at)
         return lambda omega: sampled.open_loop(plant, law, omega)
 
-    neither, proportional, integral = part(0.0, 0.0), part(1.0, 0.0), part(0.0, 1.0)  # the law is linear in its gains
+    parts = part(0.0, 0.0), part(1.0, 0.0), part(0.0, 1.0)  # the law is linear in its gains
+    high = 0.999 * math.pi * rate
+    omega = frequencies(_LOW, high)
+    on_grid = [response(omega) for response in parts]
 
-    def loop(kp: float, ki: float) -> Margins:
-        def response(omega: np.ndarray) -> np.ndarray:
-            base = neither(omega)
-            return base + kp * (proportional(omega) - base) + ki * (integral(omega) - base)
+    def combined(kp: float, ki: float, values: Sequence[np.ndarray]) -> np.ndarray:
+        neither, proportional, integral = values
+        return neither + kp * (proportional - neither) + ki * (integral - neither)
 
-        return margins(response, 1.0, 0.999 * math.pi * rate)
-
-    def cornered(kp: float) -> tuple[float, Margins]:
-        """Integral gain with its corner at its share of the crossover, which it moves by half a per cent."""
-        ki = 0.0
+    def with_corner(kp: float) -> tuple[float, float]:
+        """Integral gain with its corner at its share of the crossover, which it hardly moves; the phase margin."""
+        ki, margin = 0.0, math.inf
         for _ in range(4):
-            found = loop(kp, ki)
-            ki = 0.0 if found.critical is None else kp * CORNER * found.critical.omega
-        return ki, found
+            found = _first_crossover(omega, combined(kp, ki, on_grid))
+            if found is None:
+                return 0.0, math.inf
+            ki, margin = kp * CORNER * found.omega, found.phase_margin
+        return ki, margin
 
     def excess(logarithm: float) -> float:
-        return cornered(math.exp(logarithm))[1].phase_margin - PHASE_MARGIN
+        return min(with_corner(math.exp(logarithm))[1], math.pi) - PHASE_MARGIN
 
     weak, strong = math.log(_WEAKEST), math.log(_WEAKEST) + _STRIDE
     while excess(strong) > 0.0:  # the first gain on the way up: beyond it, the phase may have gone round
         weak, strong = strong, strong + _STRIDE
-    kp = math.exp(brentq(excess, weak, strong, xtol=1e-4))
-    ki, found = cornered(kp)
-    assert found.critical is not None
+    kp = math.exp(brentq(excess, weak, strong, xtol=1e-6))
+    ki, _ = with_corner(kp)
+    found = margins(lambda w: combined(kp, ki, [response(w) for response in parts]), _LOW, high)
+    assert found.critical is not None  # there is the one that was looked for
     return Loop(rate, delay, TorqueGains(kp=kp, ki=ki), found.critical, found.gain_margin)
+
+
+def _first_crossover(omega: np.ndarray, values: np.ndarray) -> Crossover | None:
+    """Where the magnitude first falls below one, between the ``omega`` by interpolation in the logarithms."""
+    size, phase = np.log(np.abs(values)), np.unwrap(np.angle(values))
+    falling = np.flatnonzero((size[:-1] > 0.0) & (size[1:] <= 0.0))
+    if not len(falling):
+        return None
+    i = falling[0]
+    share = size[i] / (size[i] - size[i + 1])
+    at = math.exp((1.0 - share) * math.log(omega[i]) + share * math.log(omega[i + 1]))
+    return Crossover(at, math.remainder((1.0 - share) * phase[i] + share * phase[i + 1] + math.pi, 2.0 * math.pi))
 
 
 def _at_rate(firmware: FirmwareConfig, rate: float, gains: TorqueGains) -> FirmwareConfig:
