@@ -78,7 +78,10 @@ CASES: tuple[FaultCase, ...] = (
     FaultCase(DriveFault.POSITION_LIMIT, 1 * _MS, limits={"position_high": -0.3}),
     FaultCase(DriveFault.OVER_TEMPERATURE, 12 * _MS, "heating", "140 K"),
     FaultCase(
-        DriveFault.OVERLOAD, 100 * _MS, "current_sensor", "jump",
+        DriveFault.OVERLOAD,
+        100 * _MS,
+        "current_sensor",
+        "jump",
         limits={"over_current": 10.0, "current_error": 10.0, "spring_error": 10.0, "overload": 0.001},
     ),
     FaultCase(DriveFault.COMMAND, 5 * _MS, "command", "not_a_number"),

@@ -186,6 +186,18 @@ def test_json_is_printed_of_a_run_that_cannot_start(
     assert err == "hil: nothing works today\n"
 
 
+def test_a_law_that_is_not_passive_is_told_and_not_refused(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(hil.run, "run", fail)
+    changes = "firmware.law=cascade", "firmware.velocity_integral=2", "firmware.joints.left_knee.swing.ki=100"
+    settings = [part for change in changes for part in ("--set", change)]
+    assert main(["run", "stand", *settings, "--out", str(tmp_path / "run")]) == 3
+    note, end = capsys.readouterr().err.splitlines()
+    assert note.startswith("hil: note: left_knee, firmware.swing: the cascade is not passive at low frequencies: ki = ")
+    assert end == "hil: nothing works today"
+
+
 def test_a_mistake_of_ours_does_not_read_as_unstable(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
