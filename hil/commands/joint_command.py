@@ -7,7 +7,7 @@ import json
 import signal
 from typing import TYPE_CHECKING, Any
 
-from hil.commands import joint_calibrate, joint_chirp, joint_margins, joint_step
+from hil.commands import joint_calibrate, joint_chirp, joint_margins, joint_onboard, joint_step
 from hil.commands.arguments import natural
 from hil.commands.joint_arguments import LOADS, load_of, node_id, scenario_of, seconds, which
 from hil.errors import EmulationError, UserError
@@ -41,7 +41,7 @@ def add_parser(commands: Any) -> None:
     joint.add_argument("--json", action="store_true", help="print one JSON object at the end and nothing else")
     joint.set_defaults(command=_joint)
     subcommands = joint.add_subparsers(metavar="COMMAND")
-    for module in (joint_margins, joint_chirp, joint_step, joint_calibrate):
+    for module in (joint_margins, joint_chirp, joint_step, joint_onboard, joint_calibrate):
         module.add_parser(subcommands)
 
 

@@ -2,9 +2,10 @@
 
     F' ≈ K_u u − K_v v        K_u = β (A₁ K_q1 / V₁ + A₂ K_q2 / V₂),    K_v = β (A₁² / V₁ + A₂² / V₂)
 
-u is the share of the valve's opening, v the piston's velocity. K_v v is the natural velocity feedback: a moving piston
-loses force as fast as the oil is stiff. k_vc = K_v / K_u of the valve's opening makes up for it (Boaventura et al. 2012).
-An edge passes K_q u, whichever way the valve opens: of unequal pressure drops the mean. Seals have no dry friction here.
+u is the share of the valve's opening, v the piston's velocity. K_v v is the natural velocity feedback: a moving
+piston loses force as fast as the oil is stiff. k_vc = K_v / K_u of the valve's opening makes up for it (Boaventura et
+al. 2012). An edge passes K_q u, whichever way the valve opens: of unequal pressure drops the mean. Seals have no dry
+friction here.
 """
 
 from __future__ import annotations
@@ -50,10 +51,8 @@ def chambers(joint: Joint, at: float) -> Chambers:
     rod = (a.supply_pressure + a.return_pressure) / (1.0 + a.rod_area / a.piston_area)  # no force, mean of both
     pressures = (rod * a.rod_area / a.piston_area, rod)
     orifice = a.valve_flow / math.sqrt(a.valve_drop)
-    gains = tuple(
-        0.5 * orifice * sum(drop / math.sqrt(drop + LAMINAR_DROP) for drop in (a.supply_pressure - p, p - a.return_pressure))
-        for p in pressures
-    )
+    drops = [(a.supply_pressure - p, p - a.return_pressure) for p in pressures]
+    gains = tuple(0.5 * orifice * sum(drop / math.sqrt(drop + LAMINAR_DROP) for drop in both) for both in drops)
     return Chambers(tuple(a.bulk_modulus / v for v in volumes), gains)  # type: ignore[arg-type]
 
 
@@ -64,7 +63,7 @@ def velocity_compensation(joint: Joint, at: float) -> float:
 
 
 def state_space(joint: Joint, load: Load) -> StateSpace:
-    """From the valve's current, as effort [N m] (``robots.actuators``), to (joint angle [rad], load cell's effort [N m]).
+    """From the valve's current, as effort [N m] (``robots.actuators``), to (joint angle [rad], effort sensed [N m]).
 
     The states are ``STATES``; a locked joint has no q and dq. Raises ValueError for a load that is not linear.
     """

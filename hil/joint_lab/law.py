@@ -53,6 +53,7 @@ def sampled_law(
     counts = np.zeros(signals.COUNTS_SIZE)
     counts[pins.MOTOR_ENCODER] = motor_coordinate(joint, at) * joint.sensor.encoder
     counts[pins.JOINT_ENCODER] = at * joint.sensor.joint_encoder
+    counts[pins.SUPPLY_ADC] = joint.actuator.supply_voltage / pins.VOLT_PER_COUNT
     p = law.values(joint, config)
     smooth = without_rounding(law.function)
     x = np.zeros(len(law.states))

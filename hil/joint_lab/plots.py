@@ -15,6 +15,7 @@ import numpy as np
 
 from hil.joint_lab.chirp import COHERENT, Chirp
 from hil.joint_lab.margins import Margins, Response, critical, frequencies
+from hil.joint_lab.onboard import Exercise, Tracking
 from hil.joint_lab.step import StepResponse
 
 _LIMIT: dict[str, Any] = {"color": "tab:red", "linestyle": ":", "linewidth": 1.2}
@@ -157,6 +158,30 @@ def steps(responses: Mapping[StepLabel, StepResponse], title: str, path: Path) -
         axes.set(xlabel="t [ms]", title=origin if origin == "firmware" else f"Table {origin}")
         axes.legend(fontsize=8, loc="lower right")
     np.ravel(panels)[0].set(ylabel="torque [N m]")
+    figure.suptitle(title)
+    _save(figure, path)
+
+
+def tracking(found: Mapping[str, Tracking], exercise: Exercise, title: str, path: Path) -> None:
+    """Torque commanded and sensed: a sine, its error, and a step (Rotella 2018 Fig. II.2)."""
+    figure, (torque, error, step) = _figure(3, 1, height=9.0, height_ratios=(3, 2, 3))
+    for label, of in found.items():
+        sine, response = of.sine(exercise), of.step(exercise)
+        time = sine.seconds - exercise.settle
+        torque.plot(time, sine.sensed, linewidth=1.1, label=f"{label}, sensed")
+        error.plot(time, sine.sensed - sine.commanded, linewidth=1.0, label=f"{label}: {sine.rms_error:.2f} N m rms")
+        step.plot(1e3 * response.seconds, response.torque, linewidth=1.1, marker=".", markersize=3, label=label)
+    torque.plot(time, sine.commanded, "k--", linewidth=1.0, label="commanded")
+    torque.set(ylabel="torque [N m]")
+    torque.legend(fontsize=8, loc="upper right")
+    error.axhline(0.0, color="k", linewidth=0.6)
+    error.set(xlabel="t [s]", ylabel="error [N m]")
+    error.legend(fontsize=8, loc="upper right")
+    step.step([-20.0, 0.0, 60.0], [0.0, exercise.amplitude, exercise.amplitude], "k--", where="post", linewidth=1.0)
+    for share in (0.95, 1.05):
+        step.axhline(share * exercise.amplitude, **_LIMIT)
+    step.set(xlabel="t after the step [ms]", ylabel="torque [N m]", xlim=(-10.0, 60.0))
+    step.legend(fontsize=8, loc="lower right")
     figure.suptitle(title)
     _save(figure, path)
 

@@ -4,7 +4,8 @@ VLCA (Kim 2018 §5.3.2): K_p = 4, K_d,m = 15, K_i = 300, a disturbance observer 
 damping per metre of its travel and ampere-free: in the joint's coordinates kd = K_d,m N_m r0². PD_f's filter is not
 printed. 60 Hz, the one other cutoff of that section (of Q_τd in the experiment of §5.3.4), is taken.
 
-Hydraulic joint: the source (Rotella 2018 §II.1) prints no gains. ASSUMED: kp = 0.5 alone, half of what a 3 kHz drive bears.
+Hydraulic joint: the source (Rotella 2018 §II.1) prints no gains. ASSUMED: kp = 0.5 alone, half of what a drive bears at
+3 kHz.
 
 Hume (Tables 2.1 and 7.1): K_P,τ and K_I,τ of Meka's passivity-based controller (§7.3.1), a PI from torque error to the
 motor's velocity. Table 7.1's unit, "N m rad/s" for both, is of no quantity in that loop; the gains are READ AS rad/s,
