@@ -45,8 +45,8 @@ class LawMemory:
         """A call of ``function``, which takes what the law takes, into ``result``."""
         buffer, evaluate = function.buffer()
         for index, array in enumerate((self.counts_array, self.x_array, self.u_array, self.p_array)):
-            buffer.set_arg(index, _view(array))
-        buffer.set_res(0, _view(result))
+            buffer.set_arg(index, _view(array))  # type: ignore[call-arg, arg-type]
+        buffer.set_res(0, _view(result))  # type: ignore[call-arg, arg-type]
 
         def call() -> None:
             evaluate()

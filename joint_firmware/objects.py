@@ -54,6 +54,7 @@ def rated_current(joint: Joint) -> float:
 
 def drive_dictionary(robot: Robot, joint: Joint, config: FirmwareConfig) -> ObjectDictionary:
     """The dictionary of ``joint``'s drive; what is not a constant nobody answers for yet."""
+    config = config.of_joint(joint.name)
     slot = next(bus.joints.index(joint.name) for bus in robot.buses if joint.name in bus.joints)
     objects = [*_communication(robot.name, joint, slot, config), *_own(joint, config), *_device(joint, config)]
     return ObjectDictionary(objects, joint.node_id)
@@ -172,8 +173,8 @@ def protection_limits() -> list[str]:
 def _limits(config: ProtectionConfig) -> list[Variable]:
     limits = []
     for name, field in ProtectionConfig.model_fields.items():
-        low = next(m.ge for m in field.metadata if isinstance(m, annotated_types.Ge))
-        high = next(m.le for m in field.metadata if isinstance(m, annotated_types.Le))
+        low = max(m.ge for m in field.metadata if isinstance(m, annotated_types.Ge))  # type: ignore[type-var]
+        high = min(m.le for m in field.metadata if isinstance(m, annotated_types.Le))  # type: ignore[type-var]
         extra = field.json_schema_extra if isinstance(field.json_schema_extra, dict) else {}
         text = name.replace("_", " ").capitalize()
         limits.append(_parameter(text, getattr(config, name), low, high, str(extra.get("unit", ""))))  # type: ignore[arg-type]

@@ -2,9 +2,9 @@
 
     python docs/examples/one_drive_trips.py
 
-In `hil run` the run ends at the fault; here it goes on for two seconds. Each row is one fault of one drive of the left leg
-at 3 s: a jump of the motor's encoder (power off at once) or of the joint's encoder (half a second of braking, then power
-off). The controller goes on as if nothing had happened.
+In `hil run` the run ends at the fault; here it goes on for two seconds. Each row is one fault of one drive of the left
+leg at 3 s: a jump of the motor's encoder (power off at once) or of the joint's encoder (half a second of braking, then
+power off). The controller goes on as if nothing had happened.
 """
 
 from __future__ import annotations

@@ -98,6 +98,8 @@ def _summary(chirp: Chirp, amplitude: float) -> dict[str, Any]:
 
 
 def _cell(part: dict[str, float]) -> str:
+    if not part["coherent_share"]:
+        return f"{'not measured':^28}"
     share = f"{100 * part['coherent_share']:.0f} %"
     return f"{100 * part['magnitude_deviation']:6.2f} % {part['phase_deviation_deg']:6.2f}° of {share:>6}"
 
@@ -113,5 +115,5 @@ def _print(setup: Setup, options: argparse.Namespace, results: dict[str, dict[st
         margin = part["phase_margin_deg"]
         loop = "no crossover" if margin is None else f"{margin:.1f}° at {part['crossover_hz']:.1f} Hz"
         print(f"{law:10} {part['amplitude_nm']:6.2f} N m   {cells}   {loop}")
-        if part["limited_share"] > 0:
+        if part["limited_share"] > 0.001:  # enabling the drive takes a report or two
             print(f"{'':10} limits were active in {100 * part['limited_share']:.1f} % of the reports: less --amplitude")

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 _CONTROLLER = {f"{key}=": key for key in ("controller.rate", "controller.phase", "controller.compute_time")}
 _PHYSICS_STEPS = 20  # per interrupt of the drive: an experiment is compared with exact theory
-_ALL, OPEN_LOOP = "all", "open"
+_ALL, OPEN_LOOP, _VALVE = "all", "open", "valve"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -78,12 +78,10 @@ def laws_of(options: argparse.Namespace, setup: Setup, open_loop: bool = False) 
     from hil.joint_lab.continuous import FEEDBACKS
     from hil.schema import nearest
     from joint_firmware.config import canonical_law
-    from robots.actuators import Hydraulic
 
-    if isinstance(setup.joint.actuator, Hydraulic):
-        raise UserError(f"{setup.robot.name} {setup.joint.name} is hydraulic: its valve has no linear theory here")
-    known = {law: setup._replace(firmware=setup.firmware.model_copy(update={"law": law})) for law in FEEDBACKS}
-    if open_loop:
+    laws = [_VALVE] if setup.hydraulic else list(FEEDBACKS)
+    known = {law: setup._replace(firmware=setup.firmware.model_copy(update={"law": law})) for law in laws}
+    if open_loop and not setup.hydraulic:  # a valve alone lets the torque drift
         known[OPEN_LOOP] = setup._replace(mode=Mode.OPEN_LOOP)
     if options.law.strip() == _ALL:
         return known

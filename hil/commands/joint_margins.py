@@ -95,6 +95,8 @@ def _print(setup: Setup, options: argparse.Namespace, results: dict[str, dict[st
         )
 
     def passive(part: dict[str, Any]) -> str:
+        if part["passive"] is None:
+            return "–"
         return "passive" if part["passive"] else f"active from {part['active_from_hz']:.3g} Hz"
 
     print(f"{setup.robot.name} {setup.joint.name}, load {options.load}, without dry friction")

@@ -66,11 +66,12 @@ class Chirp(NamedTuple):
 
     @property
     def crossovers(self) -> list[Crossover]:
-        """Where the measured open loop crosses one, between its frequencies by interpolation in the logarithms."""
+        """Where the measured open loop, as far as it is coherent, crosses one: interpolated in the logarithms."""
         omega, values = self.loop.measured.omega, self.loop.measured.values
         size, phase = np.log(np.abs(values)), np.unwrap(np.angle(values))
         found = []
-        for i in np.flatnonzero(np.diff(np.sign(size))):
+        sure = self.loop.coherent
+        for i in np.flatnonzero(np.diff(np.sign(size)) * sure[:-1] * sure[1:]):
             share = size[i] / (size[i] - size[i + 1])
             w = math.exp((1 - share) * math.log(omega[i]) + share * math.log(omega[i + 1]))
             angle = (1 - share) * phase[i] + share * phase[i + 1] + math.pi
@@ -151,7 +152,7 @@ class _Theory:
 
     def __init__(self, setup: Setup, offset: int, angle: np.ndarray) -> None:
         self._plant, self._law = setup.plant(), setup.law()
-        self._stiffness, self._constant = setup.torque_per_deflection, setup.joint.actuator.torque_per_ampere
+        self._stiffness, self._constant = setup.torque_per_sensed, setup.joint.actuator.torque_per_ampere
         self._ratio, self._offset, self._angle = setup.ticks_per_report, offset, angle
 
     def responses(self) -> tuple[np.ndarray, ...]:

@@ -42,10 +42,8 @@ def frequency_response(u: np.ndarray, y: np.ndarray, rate: float, period: int, l
     cross, inputs, outputs = cross[inside], inputs[inside], outputs[inside]
     total = np.add.reduceat(inputs, starts)
     weights = inputs / np.repeat(total, np.diff(starts, append=len(inside)))
-    size = np.abs(np.add.reduceat(cross, starts)) ** 2
+    both = total * np.add.reduceat(outputs, starts)
+    coherence = np.divide(np.abs(np.add.reduceat(cross, starts)) ** 2, both, out=np.zeros_like(both), where=both > 0)
     fine = 2.0 * np.pi * hertz[inside]
-    measured = Measured(
-        np.empty(0), np.add.reduceat(cross, starts) / total, size / (total * np.add.reduceat(outputs, starts)),
-        fine, weights, starts,
-    )  # fmt: skip
+    measured = Measured(np.empty(0), np.add.reduceat(cross, starts) / total, coherence, fine, weights, starts)
     return measured._replace(omega=measured.averaged(fine))

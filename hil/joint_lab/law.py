@@ -15,13 +15,14 @@ from hil.joint_lab.continuous import Gains
 from hil.joint_lab.sampled import SampledLaw
 from joint_firmware.config import FirmwareConfig, TorqueGains
 from joint_firmware.laws import drive_law, signals
+from joint_firmware.protection_config import UNPROTECTED
 from robots import pins
 from robots.actuators import Hydraulic
 from robots.description import Joint
 
 _NO_LIMIT = 1e9  # N m
 _WEIGHTS = {Mode.TORQUE: signals.U_TORQUE_MODE, Mode.OPEN_LOOP: signals.U_OPEN_LOOP_MODE}
-_TICKS = 100  # within which a law at rest stays as it is
+_TICKS = 100  # within which a law has come to rest
 
 
 def _gains(config: FirmwareConfig, gain_set: int) -> TorqueGains:
@@ -34,11 +35,17 @@ def sampled_law(
     """From (motor coordinate [rad], deflection [rad], torque commanded [N m]) to motor torque [N m], at joint ``at``;
     of a hydraulic joint from (joint angle [rad], effort [N m], torque commanded [N m]) to the valve's effort.
 
-    ``mode`` is Mode.TORQUE, or Mode.OPEN_LOOP for the drive without its torque loop.
+    ``mode`` is Mode.TORQUE, or Mode.OPEN_LOOP for the drive without its torque loop. States that the motor torque does
+    not depend on, those of the protection, are left out.
 
-    Raises ValueError for gains that the law itself refuses, and for velocities that have no linearisation at rest.
+    Raises ValueError for gains that the law itself refuses, and for velocities that have no derivative at rest.
     """
-    config = firmware.of_joint(joint.name)
+    if firmware.velocity_estimator != "filter":
+        raise ValueError(
+            f"firmware.velocity_estimator = {firmware.velocity_estimator}: between edges such a velocity has no "
+            "derivative, the linear model needs filter"
+        )
+    config = firmware.of_joint(joint.name).model_copy(update={"protection": UNPROTECTED})
     law, gains = drive_law(joint, config), _gains(config, gain_set)
     u = np.zeros(signals.INPUT_SIZE)
     u[[signals.U_LIMIT, _WEIGHTS[mode], signals.U_ENABLED]] = _NO_LIMIT, 1.0, 1.0
@@ -49,13 +56,13 @@ def sampled_law(
     counts[pins.SUPPLY_ADC] = joint.actuator.supply_voltage / pins.VOLT_PER_COUNT
     p = law.values(joint, config)
     smooth = without_rounding(law.function)
-    x = _rest(smooth, counts, u, p)
-    if x is None:
-        raise ValueError(
-            f"firmware.velocity_estimator = {config.velocity_estimator}: with this one {config.law} has no "
-            "linearisation at rest, with filter it has"
-        )
+    x = np.zeros(len(law.states))
+    for _ in range(_TICKS):
+        before, x = x, np.array(smooth(counts, x, u, p)[0]).ravel()
     a, b_counts, b_u, c, d_counts, d_u = (np.array(part) for part in _jacobians(smooth)(counts, x, u, p))
+    kept = _seen(a, c)
+    if not np.allclose(before[kept], x[kept], rtol=1e-9, atol=1e-12):
+        raise AssertionError(f"{config.law} is not at rest after {_TICKS} interrupts")
     if isinstance(joint.actuator, Hydraulic):
         sensors = [pins.JOINT_ENCODER, pins.FORCE_ADC]
         scales = [joint.sensor.joint_encoder, 1.0 / joint.sensor.force_resolution]  # counts per rad, per N m
@@ -64,26 +71,24 @@ def sampled_law(
         scales = [joint.sensor.encoder, joint.spring_counts_per_rad]  # counts per rad
     torque = joint.actuator.ampere_per_count * joint.actuator.torque_per_ampere  # N m per count of current
     system = StateSpace(
-        a, np.hstack([b_counts[:, sensors] * scales, b_u[:, [signals.U_TORQUE]]]),
-        torque * c, torque * np.hstack([d_counts[:, sensors] * scales, d_u[:, [signals.U_TORQUE]]]),
+        a[np.ix_(kept, kept)], np.hstack([b_counts[:, sensors] * scales, b_u[:, [signals.U_TORQUE]]])[kept],
+        torque * c[:, kept], torque * np.hstack([d_counts[:, sensors] * scales, d_u[:, [signals.U_TORQUE]]]),
     )  # fmt: skip
     return SampledLaw(system, 1.0 / config.rate)
+
+
+def _seen(a: np.ndarray, c: np.ndarray) -> np.ndarray:
+    """Indices of the states that the output depends on, sooner or later."""
+    seen = c.any(axis=0)
+    while (more := seen | a[seen].any(axis=0)).sum() > seen.sum():
+        seen = more
+    return np.flatnonzero(seen)
 
 
 def motor_coordinate(joint: Joint, q: float) -> float:
     """phi = f(q), rad (``robots.actuators``)."""
     linkage = joint.actuator.linkage
     return q if linkage is None else float(linkage.motor_coordinate(q))
-
-
-def _rest(law: ca.Function, counts: np.ndarray, u: np.ndarray, p: np.ndarray) -> np.ndarray | None:
-    """The state in which the law stays, None when there is none."""
-    x = np.zeros(law.size1_in(1))
-    for _ in range(_TICKS):
-        before, x = x, np.array(law(counts, x, u, p)[0]).ravel()
-        if np.array_equal(before, x):
-            return x
-    return None
 
 
 def gains_of(joint: Joint, firmware: FirmwareConfig, gain_set: int) -> Gains:

@@ -99,7 +99,10 @@ def pairs(exchange: Exchange, rate: int, ticks_per_report: int) -> Pairs:
     at = np.searchsorted(exchange.command_ticks, ticks, side="left")
     offsets = exchange.command_ticks[at] - ticks
     if not len(offsets) or np.any(offsets != offsets[0]) or offsets[0] >= ticks_per_report or np.any(np.diff(at) != 1):
-        raise EmulationError("the master's commands do not keep step with the drive's reports: give both one rate")
+        raise EmulationError(
+            "the master's commands do not keep step with the drive's reports: their rates differ, or the bus does not "
+            "carry so many; a lower firmware.report_rate may do"
+        )
     return Pairs(
         rate / ticks_per_report, int(offsets[0]), exchange.commanded[at], exchange.torques[chosen],
         exchange.currents[chosen],

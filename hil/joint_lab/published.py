@@ -4,6 +4,9 @@ VLCA (Kim 2018 §5.3.2): K_p = 4, K_d,m = 15, K_i = 300, a disturbance observer 
 damping per metre of its travel and ampere-free: in the joint's coordinates kd = K_d,m N_m r0². PD_f's filter is not
 printed. 60 Hz, the one other cutoff of that section (of Q_τd in the experiment of §5.3.4), is taken.
 
+Hydraulic joint: the source (Rotella 2018 §II.1) prints no gains. ASSUMED: kp = 0.5 alone, half of what a drive bears at
+3 kHz.
+
 Hume (Tables 2.1 and 7.1): K_P,τ and K_I,τ of Meka's passivity-based controller (§7.3.1), a PI from torque error to the
 motor's velocity. Table 7.1's unit, "N m rad/s" for both, is of no quantity in that loop; the gains are READ AS rad/s,
 and rad/s², of the motor per N m at the joint. The inner loop's gain is in no source: it is the firmware's kd.
@@ -15,15 +18,18 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 from joint_firmware.config import TorqueGains
-from robots.actuators import SeriesElastic, Viscoelastic
+from robots.actuators import Hydraulic, SeriesElastic, Viscoelastic
 from robots.description import Joint
 
+_VALVE = ("kp=0.5", "ki=0", "kd=0")
 _KP, _KI, _KD_M, _OBSERVER_HZ, _TORQUE_RATE_HZ = 4.0, 300.0, 15.0, 15.0, 60.0
 
 
 def settings(joint: Joint) -> list[str]:
     """KEY=VALUE of what the sources say of ``joint``'s torque loops, as ``--set`` takes it; nothing where none does."""
     actuator = joint.actuator
+    if isinstance(actuator, Hydraulic):
+        return [f"firmware.{which}.{name}" for which in ("stance", "swing") for name in _VALVE]
     if not isinstance(actuator, Viscoelastic):
         return []
     kd = _KD_M * actuator.reduction * actuator.nominal_arm**2

@@ -9,13 +9,15 @@ from typing import NamedTuple
 import casadi as ca
 
 from bus.messages import GainSet, Mode, Setpoint, State
-from hil.joint_lab.actuator import LinearActuator, state_space
+from hil.joint_lab import hydraulics
+from hil.joint_lab.actuator import LinearActuator, StateSpace, state_space
 from hil.joint_lab.law import sampled_law
 from hil.joint_lab.master import Command
 from hil.joint_lab.sampled import SampledLaw, SampledPlant, discretise
 from joint_firmware.config import FirmwareConfig
 from plant.bench import Inertia, Load, Locked
 from plant.config import SensorConfig
+from robots.actuators import Hydraulic
 from robots.description import Joint, Robot
 
 
@@ -102,16 +104,28 @@ class Setup(NamedTuple):
     def plant(self) -> SampledPlant:
         """What the drive's law acts on: an output takes effect one interrupt after it was computed, plus the extra
         delay. Raises ValueError for a load that is not linear."""
-        return discretise(state_space(self.actuator()), self.period, self.period + self.timing.loop_delay)
+        return discretise(self.model(), self.period, self.period + self.timing.loop_delay)
+
+    def model(self) -> StateSpace:
+        """From motor torque to (motor coordinate, deflection); of a hydraulic joint from the valve's effort to (joint
+        angle, effort). Raises ValueError for a load that is not linear."""
+        if self.hydraulic:
+            return hydraulics.state_space(self.joint, self.load)
+        return state_space(self.actuator())
+
+    @property
+    def hydraulic(self) -> bool:
+        return isinstance(self.joint.actuator, Hydraulic)
 
     def law(self) -> SampledLaw:
         """The drive's law. Raises ValueError where it cannot be linearised."""
         return sampled_law(self.joint, self.firmware, self.gain_set, self.mode, self.load.at)
 
     @property
-    def torque_per_deflection(self) -> float:
-        """What the drive reports per deflection, N m/rad."""
-        return ratio(self.joint, self.load.at) * self.joint.actuator.stiffness
+    def torque_per_sensed(self) -> float:
+        """Torque that the drive reports per deflection, N m/rad; of a hydraulic joint per effort."""
+        stiffness = 1.0 if self.hydraulic else self.joint.actuator.stiffness
+        return ratio(self.joint, self.load.at) * stiffness
 
     def delayed(self, loop_delay: float) -> Setup:
         """The same with ``loop_delay`` s between drive and actuator."""

@@ -32,6 +32,8 @@ from joint_firmware.laws.signals import Gains
 from joint_firmware.laws.torque_loop import Applied, LoopSignals, TorqueLoop
 from robots.description import Joint
 
+_FADE_S = 0.1  # time constant of an inner integral whose gain is gone
+
 
 class Cascade(TorqueLoop):
     name = "cascade"
@@ -50,10 +52,17 @@ class Cascade(TorqueLoop):
         return self._velocity_error(s, gains, x) + x.velocity_integral
 
     def update(self, s: LoopSignals, gains: Gains, x: Symbols, p: Symbols, applied: Applied) -> Symbols:
-        inner = self._velocity_error(s, gains, x)
+        inner = self._velocity_error(s, gains, x)  # its gain comes with no command: no change of it is carried on
         return Symbols(
             integral=integrated(x.integral, gains.ki, s.error, p.dt, applied),
-            velocity_integral=integrated(x.velocity_integral, p.velocity_integral_gain, inner, p.dt, applied),
+            velocity_integral=integrated(
+                x.velocity_integral,
+                p.velocity_integral_gain,
+                inner,
+                p.dt,
+                applied,
+                without_gain=x.velocity_integral * (1 - p.dt / _FADE_S),
+            ),
         )
 
     def integrates(self, gains: Gains, p: Symbols) -> ca.SX:

@@ -43,7 +43,9 @@ class PIDm(PDm):
         return gains.ki > 0
 
 
-def integrated(integral: ca.SX, gain: ca.SX, error: ca.SX, dt: ca.SX, applied: Applied) -> ca.SX:
-    """The integral of ``gain`` times ``error`` one tick on: not beyond saturation, 0 without gain or loop."""
+def integrated(
+    integral: ca.SX, gain: ca.SX, error: ca.SX, dt: ca.SX, applied: Applied, without_gain: ca.SX | float = 0.0
+) -> ca.SX:
+    """The integral of ``gain`` times ``error`` one tick on: not beyond saturation, 0 without a loop in force."""
     growth = ca.if_else(applied.winds_up(error), 0, gain * error * dt)
-    return applied.closed * ca.if_else(gain > 0, integral + growth, 0)
+    return applied.closed * ca.if_else(gain > 0, integral + growth, without_gain)

@@ -1,5 +1,6 @@
 """The firmware node: start-up, reports, commands good and bad, snapshots, compiled and interpreted law."""
 
+import struct
 from itertools import pairwise
 
 import numpy as np
@@ -13,6 +14,7 @@ from bus.messages import Controlword, GainSet, Mode, Setpoint, Statusword
 from hil.compiled import compile_function
 from joint_firmware.drive import DriveState
 from joint_firmware.laws import DriveLaw
+from joint_firmware.laws import signals as law
 from robots import pins
 
 ENABLE = Controlword.ENABLE_OPERATION
@@ -384,3 +386,14 @@ def test_the_compiled_law_is_equal_to_the_bit_on_random_numbers():
             arguments = [scale * rng.normal(size=interpreted.size1_in(i)) for i in range(4)]
             for ours, theirs in zip(interpreted(*arguments), compiled(*arguments), strict=True):
                 assert np.array(ours).tobytes() == np.array(theirs).tobytes()
+
+
+def test_gains_of_one_joint_are_those_of_its_drive_and_of_its_dictionary(bench):
+    changed = {"joints": {"left_hip": {"swing": {"kp": 7.5}}}}
+    left, right = (bench(f"{side}_hip", **changed) for side in ("left", "right"))
+    swing = left.config.swing
+    for drive, kp in ((left, 7.5), (right, swing.kp)):
+        drive.enable(gain_set=GainSet.SWING)
+        u = drive.firmware.u
+        assert (u[law.U_KP], u[law.U_KI], u[law.U_KD]) == (kp, swing.ki, swing.kd)
+        assert drive.firmware.dictionary.read(0x2001, 1) == struct.pack("<f", kp)

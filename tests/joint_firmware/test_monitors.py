@@ -5,6 +5,7 @@ Pins are those of a joint that exists: three encoders that agree, a current that
 
 import math
 
+import canopen
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -19,8 +20,10 @@ from hil.compiled import compile_function
 from joint_firmware.config import FirmwareConfig
 from joint_firmware.drive import DriveState
 from joint_firmware.laws import drive_law, signals
+from joint_firmware.protection_config import ProtectionConfig
 from robots import description, pins
 
+from .canopen_rig import GAINS, Rig
 from .conftest import UNWATCHED
 
 HUME = description.load("hume")
@@ -549,3 +552,49 @@ def test_a_frame_of_another_identifier_is_no_command(bench):
     for _ in range(10):
         drive.tick(Frame(messages.COMMAND + 1, data), drive.frame(ENABLE))
     assert drive.state is DriveState.OPERATION_ENABLED
+
+
+# --- objects ---------------------------------------------------------------------------------------------------
+
+
+def test_limits_are_read_and_written_by_sdo_and_hold_at_once(bench):
+    drive = bench(watchdog="1s", **GAINS).enable()
+    rig = Rig(drive)
+    limits = rig.node.sdo["Protection limits"]
+    for name in ProtectionConfig.model_fields:
+        entry = limits[name.replace("_", " ").capitalize()]
+        assert entry.raw == pytest.approx(getattr(drive.config.protection, name), rel=1e-6)
+    drive.place(torque=100.0)
+    drive.command()
+    assert drive.state is DriveState.OPERATION_ENABLED
+    limits["Over torque"].raw = 0.6  # of 150 N m
+    drive.command()
+    assert drive.state is DriveState.FAULT and drive.emergencies[-1][:2] == (0x8311, 0x21)
+    drive.firmware.reset()
+    assert limits["Over torque"].raw == 1.5  # gone with the power
+
+
+@pytest.mark.parametrize("value", [-1.0, 0.0, 2e6, math.nan])
+def test_a_limit_out_of_range_is_refused_and_changes_nothing(bench, value):
+    rig = Rig(bench(**GAINS).boot())
+    with pytest.raises(canopen.SdoAbortedError):
+        rig.node.sdo["Protection limits"]["Over current"].raw = value
+    assert rig.node.sdo["Protection limits"]["Over current"].raw == 1.25
+
+
+def test_what_is_used_of_the_limits_and_what_has_tripped_is_read_by_sdo(bench):
+    drive = bench(watchdog="1s", **GAINS).enable()
+    rig = Rig(drive)
+    drive.place(torque=45.0)
+    drive.inputs[pins.TEMPERATURE_ADC] = 900
+    drive.inputs[pins.SUPPLY_ADC] = 4200
+    drive.command()
+    levels, state = rig.node.sdo["Protection levels"], rig.node.sdo["Protection state"]
+    assert levels["Over torque"].raw == pytest.approx(45.0 / 225.0, rel=2e-3)
+    assert levels["Over temperature"].raw == pytest.approx(65.0 / 130.0)
+    assert levels["Under voltage"].raw == pytest.approx(6.0 / 12.0)
+    assert state["Trip word"].raw == state["Fault"].raw == 0
+    drive.place(torque=230.0)
+    drive.command()
+    assert state["Trip word"].raw == 1 << DriveFault.OVER_TORQUE and state["Fault"].raw == DriveFault.OVER_TORQUE
+    assert rig.node.sdo[0x603F].raw == 0x8311

@@ -56,6 +56,13 @@ def test_margins_for_a_person(capsys):
     assert "passive" in out
 
 
+def test_a_hydraulic_joint_has_its_one_law(capsys):
+    _, out, _ = run(capsys, "margins", "valve", "--json")
+    (part,) = json.loads(out).values()
+    assert part["stable"] and part["sampled"]["stable"] and part["passive"] is None
+    assert part["sampled"]["phase_margin_deg"] < part["phase_margin_deg"]
+
+
 def test_bisected_delay_margin(capsys):
     _, out, _ = run(capsys, "margins", "hume", "--joint", "left_knee", "--law", "PD_m", "--bisect", "--json")
     sampled = json.loads(out)["PD_m"]["sampled"]
@@ -76,6 +83,13 @@ def test_chirp(capsys, tmp_path):
     assert found["open"]["phase_margin_deg"] is None
     assert {path.name for path in tmp_path.iterdir()} == {"chirp.png", "chirp-loop.png", "PD_m", "open"}
     assert (tmp_path / "PD_m" / "stand.log").stat().st_size > 1000
+
+
+def test_chirp_of_a_valve_whose_current_is_below_the_report_s_resolution(capsys):
+    status, out, _ = run(capsys, "chirp", "valve", "--from", "10Hz", "--to", "60Hz", "--duration", "1s")
+    assert status == 0
+    (line,) = (line for line in out.splitlines() if line.startswith("valve  "))
+    assert "not measured" in line and "no crossover" in line and " 100 %" in line
 
 
 def test_step_table(capsys, tmp_path):
@@ -117,11 +131,11 @@ def test_gains_that_a_law_refuses_are_told_in_the_table(capsys):
         (["margins", "nobody"], "no robot 'nobody'"),
         (["margins", "hume"], "--joint"),
         (["margins", "hume", "--joint", "left_kne"], "did you mean 'left_knee'"),
-        (["margins", "valve"], "hydraulic"),
+        (["margins", "valve", "--law", "PD_m"], "valid are valve"),
         (["margins", "vlca", "--load", "pendulum"], "not linear"),
         (["margins", "vlca", "--load", "locked,at=2rad"], "not to at = 2"),
         (["margins", "vlca", "--set", "link.command.delay=1ms"], "a joint alone has"),
-        (["margins", "vlca", "--set", "firmware.velocity_estimator=M"], "at rest"),
+        (["margins", "vlca", "--set", "firmware.velocity_estimator=M"], "has no derivative"),
         (["chirp", "vlca", "--from", "3"], "--from"),
         (["chirp", "vlca", "--from", "100Hz", "--to", "50Hz"], "expected them to rise"),
         (["chirp", "vlca", "--to", "2kHz"], "report rate"),

@@ -18,6 +18,13 @@ def test_delay_margins_agree_within_an_interrupt(experiment, law):
     assert found == pytest.approx(margins.delay_margin, abs=setup.period)
 
 
+def test_a_hydraulic_joint_s_delay_margin_agrees_within_an_interrupt(experiment):
+    setup = experiment("valve", "knee", "valve")
+    margins = analysis.as_sampled(setup).margins
+    found = delay_margin(setup, kick(setup), margins.critical.omega, margins.delay_margin, 0.25 * setup.period)
+    assert found == pytest.approx(margins.delay_margin, abs=setup.period)
+
+
 def test_oscillations_grow_beyond_the_margin_and_die_away_before_it(experiment):
     setup = experiment("hume", "left_knee")
     margins = analysis.as_sampled(setup).margins

@@ -47,7 +47,7 @@ def test_the_emulation_steps_as_its_linear_model(experiment, law):
     x, reports = np.zeros(len(system.a)), []
     for tick in range(int(0.2 * setup.firmware.rate)):
         if tick % setup.ticks_per_report == 0:
-            reports.append(setup.torque_per_deflection * (system.c @ x)[1])
+            reports.append(setup.torque_per_sensed * (system.c @ x)[1])
         x = system.a @ x + system.b[:, 0] * 10.0
     measured = found.torque[found.seconds >= 0][: len(reports)]
     np.testing.assert_allclose(measured, reports[: len(measured)], atol=0.25)

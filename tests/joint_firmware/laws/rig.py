@@ -83,6 +83,10 @@ class Drive:
         memory.p_array[:] = self.law.values(joint, self.config)
         self.x, self.y = memory.x_array, memory.y_array
 
+    def configure(self, **changes):
+        self.config = self.config.model_copy(update=changes)
+        self._memory.p_array[:] = self.law.values(self.joint, self.config)
+
     def counts(self, phi=0.0, effort=0.0):
         """Pins of an actuator whose motor stands at ``phi`` and whose compliant element bears ``effort``."""
         c = np.zeros(pins.N_INPUTS)

@@ -145,6 +145,17 @@ def test_no_change_of_mode_or_gains_moves_the_motor_by_more_than_the_rate_limit(
     assert abs(now - beside) <= explained + 2 * drive.resolution
 
 
+def test_an_inner_integral_whose_gain_is_taken_away_fades():
+    drive = Drive(law="cascade", velocity_integral=20.0)
+    c, u = drive.counts(0.0, 10.0), drive.command(torque=15.0, kp=1.0, kd=0.0)
+    settled(drive, c, u, 900)
+    before = drive.state("velocity_integral")
+    drive.configure(velocity_integral=0.0)
+    settled(drive, c, u, 300)
+    assert before == pytest.approx(20.0 * 5.0 * 0.3, rel=0.01)
+    assert drive.state("velocity_integral") == pytest.approx(before * math.exp(-1.0), rel=0.01)
+
+
 @pytest.mark.parametrize("name", LAW_NAMES)
 def test_what_a_change_of_gains_carries_on_fades_or_is_integrated(name):
     joint = JOINTS.get(name, HIP)
