@@ -62,7 +62,8 @@ def _onboard(options: argparse.Namespace) -> int:
             raise EmulationError(f"{label}: {error}") from None
         rows[label] = _row(loop, found[label], exercise)
     if out is not None:
-        title = f"{setup.robot.name} {setup.joint.name}, load {options.load}: the force loop on board and off board"
+        load = options.load.partition(",")[0]
+        title = f"{setup.robot.name} {setup.joint.name}, load {load}: the force loop on board and off board"
         named = {f"{label}, {loop.rate / 1e3:g} kHz": found[label] for label, loop in loops.items()}
         plots.tracking(named, exercise, title, out / "tracking.png")
     if options.json:

@@ -59,7 +59,8 @@ def tune(setup: Setup, rate: float, delay: float) -> Loop:
 
     def part(kp: float, ki: float) -> Response:
         firmware = _at_rate(setup.firmware, rate, TorqueGains(kp=kp, ki=ki))
-        law = sampled_law(joint, firmware, setup.gain_set, at=locked.at)
+        at_rest = firmware.model_copy(update={"valve_bias": 0.0})  # which moves the operating point and nothing else
+        law = sampled_law(joint, at_rest, setup.gain_set, at=locked.at)
         return lambda omega: sampled.open_loop(plant, law, omega)
 
     parts = part(0.0, 0.0), part(1.0, 0.0), part(0.0, 1.0)  # the law is linear in its gains
@@ -169,7 +170,7 @@ class Exercise(NamedTuple):
 
     amplitude: float  # N m
     frequency: float  # Hz
-    settle: float = 0.3  # s; a valve off its zero has let pressure build up before the drive is enabled
+    settle: float = 1.0  # s; a valve off its zero has let pressure build up before the drive is enabled
     periods: int = 3
     rest: float = 0.1  # s
     hold: float = 0.2  # s

@@ -165,6 +165,7 @@ def steps(responses: Mapping[StepLabel, StepResponse], title: str, path: Path) -
 def tracking(found: Mapping[str, Tracking], exercise: Exercise, title: str, path: Path) -> None:
     """Torque commanded and sensed: a sine, its error, and a step (Rotella 2018 Fig. II.2)."""
     figure, (torque, error, step) = _figure(3, 1, height=9.0, height_ratios=(3, 2, 3))
+    above: dict[str, Any] = {"fontsize": 8, "loc": "lower left", "bbox_to_anchor": (0.0, 1.0), "ncols": 3}
     for label, of in found.items():
         sine, response = of.sine(exercise), of.step(exercise)
         time = sine.seconds - exercise.settle
@@ -173,15 +174,15 @@ def tracking(found: Mapping[str, Tracking], exercise: Exercise, title: str, path
         step.plot(1e3 * response.seconds, response.torque, linewidth=1.1, marker=".", markersize=3, label=label)
     torque.plot(time, sine.commanded, "k--", linewidth=1.0, label="commanded")
     torque.set(ylabel="torque [N m]")
-    torque.legend(fontsize=8, loc="upper right")
+    torque.legend(**above)
     error.axhline(0.0, color="k", linewidth=0.6)
     error.set(xlabel="t [s]", ylabel="error [N m]")
-    error.legend(fontsize=8, loc="upper right")
+    error.legend(**above)
     step.step([-20.0, 0.0, 60.0], [0.0, exercise.amplitude, exercise.amplitude], "k--", where="post", linewidth=1.0)
     for share in (0.95, 1.05):
         step.axhline(share * exercise.amplitude, **_LIMIT)
     step.set(xlabel="t after the step [ms]", ylabel="torque [N m]", xlim=(-10.0, 60.0))
-    step.legend(fontsize=8, loc="lower right")
+    step.legend(**above)
     figure.suptitle(title)
     _save(figure, path)
 

@@ -1,4 +1,4 @@
-"""The linear model of the hydraulic joint against finite differences of the plant's own, and the firmware's share of it."""
+"""The linear model of the hydraulic joint against finite differences of the plant, and what the firmware has of it."""
 
 import numpy as np
 import pytest
@@ -26,7 +26,7 @@ def plant():
 
 
 def differences(at, direction):
-    """d(state after a step)/d(state, current, dq) of the plant by one-sided differences; the valve opens to one side."""
+    """d(state after a step)/d(state, current, dq) of the plant by differences to the side that the valve opens to."""
     step, rest = plant(), np.array(list(MODEL.rest(at).values()))
     scale = np.array([1e-6, 1e-3, 1.0, 1.0, 1e-9, 1e-7])
 
@@ -67,7 +67,7 @@ def test_natural_velocity_feedback_and_what_makes_up_for_it(at):
     areas = np.array([actuator.piston_area, -actuator.rod_area])
 
     def force_rate(spool=0.0, velocity=0.0):
-        state = rest + [spool, 0.0, 0.0, 0.0, 0.0, velocity]
+        state = rest + np.array([spool, 0.0, 0.0, 0.0, 0.0, velocity])
         after = np.array(step(state, spool * actuator.current_limit, 24.0, at, 0.0, P)[0]).ravel()
         return areas @ (after - state)[2:4] / DT
 
