@@ -232,8 +232,8 @@ MISTAKES = {
     "'bus.left_leg.node.left_knee.ct': no such key; did you mean 'bus.left_leg.node.left_knee.cut'?",
     "inject=[{at='2s', until='1s', key='link.command.loss', value=1}]": "inject.0.until = 1 s: expected more than its "
     "at, 2 s",
-    "inject=[{at='2s', until='4s', key='link.command.loss', value=1}, {at='3s', key='link.command.loss', value=0}]": "inject.1.at "
-    "= 3 s: link.command.loss is under inject.0 until 4 s",
+    "inject=[{at='2s', until='4s', key='link.command.loss', value=1}, "
+    "{at='3s', key='link.command.loss', value=0}]": "inject.1.at = 3 s: link.command.loss is under inject.0 until 4 s",
 }
 
 
