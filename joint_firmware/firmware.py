@@ -217,6 +217,7 @@ class JointFirmware:
         if self._synchronisation.done:
             self.referenced = True
             self.configure(motor_offset=self._synchronisation.motor_offset)
+            self._law.restart()  # what it has sensed so far is of no position
 
     def recalibrated(self, joint_offset: float) -> dict[str, float]:
         """What of the settings changes where the absolute encoder reads ``joint_offset`` [rad] at 0 rad."""
