@@ -107,6 +107,6 @@ def _print(setup: Setup, options: argparse.Namespace, results: dict[str, dict[st
         sampled = part["sampled"]
         line = f"{law:10} {columns(part)}   {columns(sampled)}   {passive(part)}; {passive(sampled)}"
         print(line)
-        if "delay_margin_found_s" in sampled:
+        if "delay_margin_found_s" in sampled and sampled["stable"]:
             late = f"{number(sampled['delay_margin_found_s'], 3, 1e3)} ms"
             print(f"{'':10} delay margin predicted {number(sampled['delay_margin_s'], 3, 1e3)} ms, by bisection {late}")

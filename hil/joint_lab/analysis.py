@@ -31,14 +31,18 @@ class Analysis(NamedTuple):
         return self.curve.margins
 
     def summary(self) -> dict[str, Any]:
-        """Numbers for a person or ``--json``; None where there is no crossover."""
-        found = self.margins
-        critical, passive = found.critical, self.passivity
+        """Numbers for a person or ``--json``; None where there is no crossover, and of an unstable loop no margins."""
+        found, passive = self.margins, self.passivity
+        critical = found.critical if self.stable else None
+
+        def finite(value: float) -> float | None:
+            return value if self.stable and math.isfinite(value) else None
+
         return {
             "phase_margin_deg": None if critical is None else math.degrees(critical.phase_margin),
             "crossover_hz": None if critical is None else critical.omega / (2.0 * math.pi),
-            "gain_margin_db": 20.0 * math.log10(found.gain_margin) if math.isfinite(found.gain_margin) else None,
-            "delay_margin_s": found.delay_margin if math.isfinite(found.delay_margin) else None,
+            "gain_margin_db": finite(20.0 * math.log10(found.gain_margin)),
+            "delay_margin_s": finite(found.delay_margin),
             "stable": self.stable,
             "passive": None if passive is None else passive.passive,
             "active_from_hz": None if passive is None else passive.from_hz,

@@ -11,9 +11,12 @@ from hil.scenario import Scenario
 
 
 class LawRecording(NamedTuple):
-    """One drive, from where it knows its position. A row per step, as the law's function names them: ``counts`` (int32),
-    ``x`` and ``u`` before the step, ``y`` and ``x_next`` computed by it; ``p``, one vector that holds for all of them,
-    and ``p_at_power_on``, what it was before the drive found its encoder's zero."""
+    """One drive, from where it knows its position.
+
+    A row per step, as the law's function names them: ``counts`` (int32), ``x`` and ``u`` before the step, ``y`` and
+    ``x_next`` computed by it; ``p``, one vector that holds for all of them, and ``p_at_power_on``, what it was before
+    the drive found its encoder's zero.
+    """
 
     counts: np.ndarray
     x: np.ndarray

@@ -3,10 +3,10 @@
     C_w dT_w = R (1 + α (T_w − 25 °C)) i² − (T_w − T_h) / R_wh
     C_h dT_h = (T_w − T_h) / R_wh − (T_h − 25 °C) / R_ha
 
-The model takes a step every 0.1 s, with the heat of that time: what a single interrupt adds is less than half the last bit
-of a temperature in single precision, and would be lost. The sensor says how warm it is at power-on, in the model as well. i²t is the integral of i² − i_c², never below zero,
-with i_c the current that may flow for ever. Its limit is what the full current adds to it until it has warmed the
-winding by a share of what its insulation permits.
+The model takes a step every 0.1 s, with the heat of that time: what a single interrupt adds is less than half the last
+bit of a temperature in single precision, and would be lost. The sensor says how warm it is at power-on, in the model as
+well. i²t is the integral of i² − i_c², never below zero, with i_c the current that may flow for ever. Its limit is what
+the full current adds to it until it has warmed the winding by a share of what its insulation permits.
 """
 
 from __future__ import annotations
@@ -67,15 +67,16 @@ def _overload_limit(actuator: Actuator, rise: float) -> float:
 class HeatWatch(Block):
     states = ("winding_temperature", "housing_temperature", "current_heat", "heat_time", "overload")
     parameters = (
-        "dt", "heat_step", "resistance", "winding_rate", "housing_rate", "housing_share", "winding_heat", "permitted_rise",
-        "continuous_square", "overload_limit",
+        "dt", "heat_step", "resistance", "winding_rate", "housing_rate", "housing_share", "winding_heat",
+        "permitted_rise", "continuous_square", "overload_limit",
     )  # fmt: skip
 
     def values(self, joint: Joint, config: FirmwareConfig, offsets: Offsets) -> dict[str, float]:
         actuator, limits = joint.actuator, config.protection
         motor, thermal = actuator.motor, actuator.thermal
         dt = 1.0 / config.rate
-        values = {"dt": dt, "heat_step": max(_STEP_S - 0.5 * dt, 0.0), "continuous_square": continuous_current(actuator) ** 2}
+        step = max(_STEP_S - 0.5 * dt, 0.0)
+        values = {"dt": dt, "heat_step": step, "continuous_square": continuous_current(actuator) ** 2}
         if motor is None or thermal is None:  # no winding: its temperature stays what the sensor says
             return values | {
                 "resistance": 0.0, "winding_heat": 0.0, "winding_rate": 0.0, "housing_rate": 0.0, "housing_share": 0.0,

@@ -36,7 +36,7 @@ def test_oscillations_grow_beyond_the_margin_and_die_away_before_it(experiment):
 
 
 def test_a_loop_that_is_unstable_by_itself_has_no_margin(experiment):
-    setup = experiment("hume", "left_knee", settings=["firmware.stance.kp=60"])
+    setup = experiment("hume", "left_knee", settings=["firmware.stance.kp=60", "firmware.stance.kd=0 N m s/rad"])
     assert not analysis.as_sampled(setup).stable
     with pytest.raises(ValueError, match="unstable without"):
         delay_margin(setup, kick(experiment("hume", "left_knee")), 300.0, 1e-3, 1e-4)
