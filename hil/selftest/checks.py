@@ -135,8 +135,11 @@ class Leg:
         self.bus = next(n for n, bus in enumerate(robot.buses) if bus.name == "left_leg")
         names = robot.buses[self.bus].joints
         self.nodes = [JointFirmware(robot, robot.joint_names.index(name), config) for name in names]
-        for node in self.nodes:
-            node.attach(np.zeros(pins.N_INPUTS, np.int32), np.zeros(pins.N_OUTPUTS, np.int32))
+        for node, name in zip(self.nodes, names, strict=True):
+            inputs = np.zeros(pins.N_INPUTS, np.int32)
+            # without its supply a drive would trip
+            inputs[pins.SUPPLY_ADC] = round(robot.joint(name).actuator.supply_voltage / pins.VOLT_PER_COUNT)
+            node.attach(inputs, np.zeros(pins.N_OUTPUTS, np.int32))
         self.gateway = Gateway(robot)
         self.ports = [SocketCanPort(self.interface) for _ in self.nodes]
         self.gateway_port = SocketCanPort(self.interface)
