@@ -31,9 +31,9 @@ class VerdictConfig(Config):
     fall_height: Gain = 0.6  # share of the CoM's height at the start below which the robot has fallen
     growth_rate: Gain = 0.2  # 1/s of an oscillation
     growth_amplitude: Annotated[Metres, Field(ge=0)] = 0.005  # m or rad, from which growth counts
-    # The same of the internal force, as a share of the one to be held: a tenth of what it can lose before a foot slips, as
-    # growth_amplitude is a tenth of com_error. Hume, 229 N, its feet 0.5 m by 0.2 m apart on 45° panels of friction 0.6,
-    # stands by 64 N of 100 N: T/N there is sqrt((114.5 − 29.7)²/2 + 11.9²) / ((114.5 + 29.7)/√2) = 0.6.
+    # The same of the internal force, as a share of the one to be held: a tenth of what it can lose before a foot slips,
+    # as growth_amplitude is a tenth of com_error. Hume, 229 N, its feet 0.5 m by 0.2 m apart on 45° panels of friction
+    # 0.6, stands by 64 N of 100 N: T/N there is sqrt((114.5 − 29.7)²/2 + 11.9²) / ((114.5 + 29.7)/√2) = 0.6.
     growth_force: Gain = 0.04
 
 
