@@ -391,6 +391,7 @@ class System:
 
     _PLAIN = (
         "now_ns", "_isr", "_control", "_isr_ns", "_control_ns", "_reply_ns", "_flush_ns", "_monitor_ns", "tool_frames",
+        "stop_reason",
     )  # fmt: skip
 
     def snapshot(self) -> dict[str, Any]:
@@ -413,6 +414,7 @@ class System:
             "gateway": self.gateway.snapshot(),
             "faults": self.faults.snapshot(),
             "injector": self.injector.snapshot(),
+            "monitor": None if self.monitor is None else self.monitor.snapshot(),
         }
 
     def restore(self, state: dict[str, Any]) -> None:
@@ -435,5 +437,7 @@ class System:
         self.gateway.restore(state["gateway"])
         self.faults.restore(state["faults"])
         self.injector.restore(state["injector"])
+        if self.monitor is not None:
+            self.monitor.restore(state["monitor"])
 
 

@@ -62,6 +62,12 @@ class Monitor:
         self._height: float | None = None
         self._stood: list[np.ndarray] | None = None
 
+    def snapshot(self) -> dict[str, Any]:
+        return {"height": self._height, "stood": None if self._stood is None else [at.copy() for at in self._stood]}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        self._height, self._stood = state["height"], state["stood"]
+
     def check(self, now_ns: int, world: np.ndarray, controller: np.ndarray, drives: np.ndarray) -> str | None:
         """One sentence when the run has failed by now, else None."""
         limits, time = self._limits, now_ns * 1e-9
