@@ -72,7 +72,7 @@ def load(name: str, settings: typing.Sequence[str] | Mapping[str, Any] = ()) -> 
         for key, value in settings.items():
             if not isinstance(key, str) or not all(part.strip() for part in key.split(".")):
                 raise UserError(f"{key!r} is no key, for example 'link.command.delay'")
-            _assign(data, key.strip(), _literal(value.strip()) if isinstance(value, str) else value)
+            assign(data, key.strip(), _literal(value.strip()) if isinstance(value, str) else value)
         return complete(data, source)
     for setting in settings:
         key, separator, text = setting.partition("=")
