@@ -139,7 +139,9 @@ QUICK = ["--duration", "1.2s", "--set", "limits.settle=1s", "--set", "world.hois
          "world.hoist.release=0.2s", "--set", "controller.stand_at=0.2s"]  # fmt: skip
 
 
-def test_the_command_finds_the_jump_of_delay_that_the_watchdog_bears(capsys: pytest.CaptureFixture, tmp_path: Path) -> None:
+def test_the_command_finds_the_jump_that_the_watchdog_bears(
+    capsys: pytest.CaptureFixture, tmp_path: Path
+) -> None:
     """Delay by a jump starves the drives, which bear 5 ms without a command: the boundary is known."""
     arguments = ["margin", "stand", "--of", "link.command.delay", "--range", "0ms..16ms", "--resolution", "1ms",
                  "--at", "0.9s", "--seeds", "2", "--jobs", "2", *QUICK]  # fmt: skip
