@@ -48,7 +48,6 @@ class Running:
                 raise
             raise UserError(f"{scenario.name}: stance: {error}") from None
         self._system, self._recorder = assembly.system, assembly.recorder
-        self._open = True
         self._journal.write({"run": origin(self._request)})
 
     def __enter__(self) -> Running:
@@ -105,7 +104,10 @@ class Running:
         """
         if key not in self._known:
             raise UserError(f"nothing to inject at {key!r}{nearest(key, list(self._known))}")
-        parsed = parse_value(key, value)
+        try:
+            parsed = parse_value(key, value)
+        except UserError as error:
+            raise UserError(str(error)) from None  # without the way that led to it
         self._system.requests.append(lambda: self._system.inject(key, value))
         return parsed
 
@@ -144,10 +146,7 @@ class Running:
 
     def close(self) -> None:
         """Free what the system holds; a second call does nothing."""
-        if self._open:
-            self.outcome()
-            self._open = False
-            self._life.close()
+        self._life.close()
 
     def save(self, directory: Path) -> None:
         """Write the record as of now into ``directory``, which is created: verdict, report, signals, and the journal, so
