@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 from pydantic import Field
 
+from bus.drive_faults import EMERGENCIES, DriveFault
 from bus.messages import Statusword
 from hil.analysis.oscillation import Oscillation
 from robots.quantities import Config, Gain, Metres, Radians, Seconds
@@ -31,6 +32,10 @@ class VerdictConfig(Config):
     fall_height: Gain = 0.6  # share of the CoM's height at the start below which the robot has fallen
     growth_rate: Gain = 0.2  # 1/s of an oscillation
     growth_amplitude: Annotated[Metres, Field(ge=0)] = 0.005  # m or rad, from which growth counts
+    # The same of the internal force, as a share of the one to be held: a tenth of what it can lose before a foot slips,
+    # as growth_amplitude is a tenth of com_error. Hume, 229 N, its feet 0.5 m by 0.2 m apart on 45° panels of friction
+    # 0.6, stands by 64 N of 100 N: T/N there is sqrt((114.5 − 29.7)²/2 + 11.9²) / ((114.5 + 29.7)/√2) = 0.6.
+    growth_force: Gain = 0.04
 
 
 _ON = 3  # the controller's phase in which its torques are whole (central_controller.controller.Phase)
@@ -63,7 +68,8 @@ class Monitor:
         self._stood: list[np.ndarray] | None = None
 
     def snapshot(self) -> dict[str, Any]:
-        return {"height": self._height, "stood": None if self._stood is None else [at.copy() for at in self._stood]}
+        stood = None if self._stood is None else [place.copy() for place in self._stood]
+        return {"height": self._height, "stood": stood}
 
     def restore(self, state: dict[str, Any]) -> None:
         self._height, self._stood = state["height"], state["stood"]
@@ -83,7 +89,7 @@ class Monitor:
             if status in (Statusword.FAULT, Statusword.QUICK_STOP_ACTIVE, Statusword.FAULT_REACTION_ACTIVE):
                 name = self._drives[joint].partition(".")[2]
                 what = "quick stop" if status == Statusword.QUICK_STOP_ACTIVE else "fault"
-                return f"drive in {what}: {name}, error code …{int(drives[self._n + joint]):02X}h, at {time:.2f} s"
+                return f"drive in {what}: {name}, {_cause(int(drives[self._n + joint]))}, at {time:.2f} s"
         if controller[self._phase] >= _ON and controller[self._state_age] > limits.drive_silent:
             age, limit = 1e3 * controller[self._state_age], 1e3 * limits.drive_silent
             return f"drive silent: no state of one for {age:.0f} ms (limit {limit:.0f} ms) at {time:.2f} s"
@@ -111,6 +117,17 @@ class Monitor:
         return None
 
 
+def _cause(number: int) -> str:
+    """The fault that a drive's state tells, with the error code of its emergency."""
+    try:
+        fault = DriveFault(number)
+    except ValueError:
+        return f"fault {number}, which no drive has"
+    if fault is DriveFault.NONE:
+        return "commanded"
+    return f"{fault.name.lower().replace('_', ' ')} ({EMERGENCIES[fault].code:04X}h)"
+
+
 def judge(tables: Mapping[str, Signals], scenario: Scenario, stopped: str | None) -> Verdict:
     """Verdict and metrics of a finished run; ``stopped`` is what the monitor ended it for."""
     from hil.analysis.metrics import compute_metrics
@@ -129,8 +146,11 @@ def judge(tables: Mapping[str, Signals], scenario: Scenario, stopped: str | None
         if entry is None or entry["growth_error"] is None:
             continue
         oscillation = Oscillation(**entry)
-        if oscillation.grows(limits.growth_rate, limits.growth_amplitude):
-            what = f"growing oscillation of {name} at {oscillation.frequency:.1f} Hz"
+        from_amplitude = limits.growth_amplitude
+        if name == "internal_force":
+            from_amplitude = limits.growth_force * abs(scenario.controller.internal_force.reference) or math.inf
+        if oscillation.grows(limits.growth_rate, from_amplitude):
+            what = f"growing oscillation of {name.replace('_', ' ')} at {oscillation.frequency:.1f} Hz"
             rate = f"{oscillation.growth:.2f} 1/s (limit {limits.growth_rate:g} 1/s)"
             return Verdict(False, f"{what}, {rate}", metrics)
     if scenario.duration <= limits.settle:

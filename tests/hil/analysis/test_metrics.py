@@ -391,11 +391,11 @@ def test_a_simulation_that_diverges_is_named() -> None:
     (Statusword.FAULT, "fault"), (Statusword.FAULT_REACTION_ACTIVE, "fault"),
     (Statusword.QUICK_STOP_ACTIVE, "quick stop"),
 ])  # fmt: skip
-def test_a_drive_in_fault_is_named_with_its_code(status: int, what: str) -> None:
+def test_a_drive_in_fault_is_named_with_its_cause(status: int, what: str) -> None:
     run = Run()
     run.drives["statusword.left_knee"][run.t >= 3.0] = status
-    run.drives["error.left_knee"][:] = 0x11
-    assert run.monitor() == (3000, f"drive in {what}: left_knee, error code …11h, at 3.00 s")
+    run.drives["error.left_knee"][:] = 10
+    assert run.monitor() == (3000, f"drive in {what}: left_knee, over torque (8311h), at 3.00 s")
 
 
 def test_errors_do_not_count_before_the_controller_balances() -> None:
@@ -428,6 +428,21 @@ def test_a_growing_oscillation_is_unstable(
     assert verdict.stable == stable
     words = rf"growing oscillation of {name} at 4\.0 Hz, 0\.5\d? 1/s \(limit 0\.2 1/s\)"
     assert stable or re.fullmatch(words, verdict.reason)
+
+
+@pytest.mark.parametrize("growth, size, held, stable", [(0.5, 6.0, 100, False), (0.1, 6.0, 100, True),
+                                                        (0.5, 3.0, 100, True), (0.5, 6.0, -100, False),
+                                                        (0.5, 6.0, 200, True), (0.5, 6.0, 0, True)])  # fmt: skip
+def test_a_growing_oscillation_of_the_internal_force_counts_against_the_force_to_be_held(
+    growth: float, size: float, held: float, stable: bool
+) -> None:
+    run = Run()
+    run.controller["internal_force_reference"][:] = run.world["internal_force"][:] = held
+    run.world["internal_force"][:] += size * np.exp(growth * (run.t - DURATION)) * np.sin(2 * np.pi * 8.5 * run.t)
+    verdict = run.verdict("limits.growth_force=0.04", f"controller.internal_force.reference={held}N")
+    assert verdict.stable == stable
+    words = r"growing oscillation of internal force at 8\.5 Hz, 0\.(49|5\d?) 1/s \(limit 0\.2 1/s\)"
+    assert stable or re.fullmatch(words, verdict.reason), verdict.reason
 
 
 def test_what_the_monitor_said_is_the_reason() -> None:
