@@ -14,6 +14,7 @@ from typing import Any, Self
 
 from hil.errors import UserError
 from hil.lab.quantity import Quantity, Value, changed, quantity
+from hil.record.journal import Journal
 from hil.run import Request, assemble
 from hil.scenario import Scenario
 
@@ -34,17 +35,17 @@ class Outcome:
 class Experiment:
     """One system on the inline backend. Use as a context manager, or ``close`` it.
 
-    Raises UserError when the robot cannot stand like that.
+    ``journal`` takes the run's journal, if it is wanted. Raises UserError when the robot cannot stand like that.
     """
 
-    def __init__(self, scenario: Scenario, seed: int) -> None:
+    def __init__(self, scenario: Scenario, seed: int, journal: Journal | None = None) -> None:
         from plant.stance import StanceError
 
         self.scenario, self.seed = scenario, seed
         self._stack = contextlib.ExitStack()
-        request = Request(scenario, seed, backend="inline", signals=False)
+        self.request = Request(scenario, seed, backend="inline", signals=False, journal=journal)
         try:
-            self._assembly = self._stack.enter_context(assemble(request))
+            self._assembly = self._stack.enter_context(assemble(self.request))
         except StanceError as error:
             raise UserError(f"{scenario.name}: stance: {error}") from None
         self.system, self.recorder = self._assembly.system, self._assembly.recorder
