@@ -164,7 +164,7 @@ def _rounded(search: Search, value: float) -> float:
 def margins(
     search: Search, seeds: Sequence[int], jobs: int, done: Callable[[int], None] = lambda _: None
 ) -> list[SeedMargin]:
-    """One search per seed, ``jobs`` at a time, in the order of ``seeds``; ``done`` is told their number as they come."""
+    """One search per seed, ``jobs`` at a time, in the order of ``seeds``; ``done`` is told how many have ended."""
     found = {}
     for margin in parallel(margin_of_seed, [(search, seed) for seed in seeds], jobs):
         found[margin.seed] = margin

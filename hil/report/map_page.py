@@ -12,6 +12,8 @@ import matplotlib
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.ticker import StrMethodFormatter
+from matplotlib.tri import Triangulation
 
 from hil.lab.quantity import Quantity
 from hil.lab.stability_map import StabilityMap
@@ -59,10 +61,11 @@ def _draw(found: StabilityMap, predicted: Sequence[Curve]) -> tuple[Any, list[np
     x, x_scale, x_label = _scaled(found.x_quantity, found.x)
     y, y_scale, y_label = _scaled(found.y_quantity, found.y)
     figure, axes = plt.subplots(figsize=(7, 5), layout="constrained")
-    if found.x_log:
-        axes.set_xscale("log")
-    if found.y_log:
-        axes.set_yscale("log")
+    for log, name, line in ((found.x_log, "x", axes.xaxis), (found.y_log, "y", axes.yaxis)):
+        if log:
+            axes.set(**{f"{name}scale": "log"})
+            line.set_major_formatter(StrMethodFormatter("{x:g}"))
+            line.set_minor_formatter(StrMethodFormatter("{x:g}"))
     if found.shape is not None:
         grid = [values.reshape(found.shape) for values in (x, y, found.share)]
         mesh: Any = axes.pcolormesh(*grid, cmap=_COLOURS, vmin=0, vmax=1, shading="nearest", alpha=0.85)
@@ -111,8 +114,15 @@ def _contours(
     else:
         if len(x) < 4:
             return []
-        drawn = axes.tricontour(x, y, values, **arguments)
+        near = Triangulation(_unit(x, found.x_log), _unit(y, found.y_log))  # as near as they look
+        drawn = axes.tricontour(Triangulation(x, y, near.triangles), values, **arguments)
     return [np.asarray(segment) for level in drawn.allsegs for segment in level if len(segment) > 1]
+
+
+def _unit(values: np.ndarray, log: bool) -> np.ndarray:
+    """From 0 to 1 along the axis."""
+    values = np.log(values) if log else values
+    return (values - values.min()) / np.ptp(values)
 
 
 def _page(found: StabilityMap, boundary: list[np.ndarray], band: list[np.ndarray], predicted: Sequence[Curve]) -> str:
