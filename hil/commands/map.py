@@ -22,9 +22,11 @@ def add_parser(commands: Any) -> None:
 
 
 def _map(options: argparse.Namespace) -> int:
+    from hil.lab.extras import require
     from hil.lab.stability_map import load_map
     from hil.report.map_page import caption, write_map
 
+    require("pyarrow.parquet", "plotly")
     where = {}
     for text in options.where:
         key, separator, value = text.partition("=")

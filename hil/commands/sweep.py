@@ -44,12 +44,14 @@ def add_parser(commands: Any) -> None:
 
 def _sweep(options: argparse.Namespace) -> int:
     from hil.lab.axes import axis
+    from hil.lab.extras import require
     from hil.lab.sweep import TABLE_FILE, Plan, sweep
     from hil.lab.workers import default_jobs, on_cluster, parallel
     from hil.report.progress import Counter
 
     if options.cluster is not None and options.jobs is not None:
         raise UserError("--jobs and --cluster exclude each other: the cluster's workers are as many as they are")
+    require("pyarrow.parquet", *(["distributed"] if options.cluster is not None else []))
     scenario = scenario_of(options)
     axes = tuple(axis(scenario, text, sampled=options.sample is not None) for text in options.vary)
     plan = Plan(

@@ -85,7 +85,7 @@ def _draw(found: StabilityMap, predicted: Sequence[Curve]) -> tuple[Any, list[np
         axes.plot(*nominal, "*", color="w", markeredgecolor="k", markersize=14, clip_on=False, zorder=5,
                   label="the scenario's own values")  # fmt: skip
     axes.set(xlabel=x_label, ylabel=y_label, title=f"{found.scenario}: stability")
-    figure.legend(fontsize=8, loc="outside lower center", ncols=4)
+    figure.legend(fontsize=8, loc="outside lower center", ncols=2)
     return figure, [c / (x_scale, y_scale) for c in boundary], [c / (x_scale, y_scale) for c in band]
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import json
 import random
@@ -97,9 +98,8 @@ def test_killed_at_random_and_resumed_it_gives_the_same_table(table: Path, tmp_p
         process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
         goal = min(done + rng.randint(0, 3), 11)
         while cells(out) <= goal and process.poll() is None:
-            with pytest.raises(subprocess.TimeoutExpired):
+            with contextlib.suppress(subprocess.TimeoutExpired):
                 process.wait(rng.uniform(0.01, 0.3))
-                break
         process.send_signal(signal.SIGKILL)
         process.wait()
         assert cells(out) >= done
@@ -234,3 +234,19 @@ def test_two_sweeps_into_one_directory_are_refused(tmp_path: Path, capsys: pytes
 def test_a_point_that_the_scenario_does_not_take_is_refused_before_anything_runs(capsys: pytest.CaptureFixture) -> None:
     assert main(["sweep", "stand", "--vary", "firmware.report_rate=1.5kHz,1.4kHz"]) == 2
     assert "firmware.rate = 3000 Hz: must be a multiple of firmware.report_rate" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("module", "command"),
+    [
+        ("pyarrow.parquet", ["sweep", "stand", "--vary", "link.command.delay=0,1ms"]),
+        ("distributed", ["sweep", "stand", "--vary", "link.command.delay=0,1ms", "--cluster", "tcp://127.0.0.1:1"]),
+        ("plotly", ["map", "somewhere"]),
+    ],
+)
+def test_a_library_that_is_missing_is_named_before_anything_runs(
+    module: str, command: list[str], capsys: pytest.CaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, module, None)
+    assert main(command) == 2
+    assert f"needs {module}, which is not installed: pip install 'hume-hil[lab]'" in capsys.readouterr().err
