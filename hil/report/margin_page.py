@@ -28,7 +28,8 @@ def sentences(result: Mapping[str, Any], quantity: Quantity) -> list[str]:
     n = len(seeds)
     lines = []
     if result["margin"] is not None:
-        lines.append(f"margin      {shown(result['margin'])}, the median of {n} seeds")
+        whose = f"the median of {n} seeds" if n > 1 else "of one seed, which tells nothing about others"
+        lines.append(f"margin      {shown(result['margin'])}, {whose}")
     elif result["open"] > n // 2:
         lines.append(f"margin      none found: stable up to {shown(result['stable_to'])}, where the search ended")
     else:
