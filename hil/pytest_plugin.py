@@ -103,7 +103,7 @@ def hil_seed() -> int:
 
 @pytest.fixture
 def hil_fault() -> dict[str, Any]:
-    """What the marker hil_faults has every run of this test get: ``settings`` or ``inject`` of ``hil.scenario.load``."""
+    """What the marker hil_faults adds to every run of this test, by argument of ``hil.scenario.load``."""
     return {}
 
 

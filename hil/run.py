@@ -55,6 +55,7 @@ class Outcome:
     record: dict[str, Any]
     exit_status: int
     tables: dict[str, Any] = field(default_factory=dict)
+    last_seconds: Any = None  # at the rate of the physics, of a run that has failed (hil.record.signals.Signals)
 
     @property
     def stable(self) -> bool:
@@ -171,6 +172,7 @@ def assemble(request: Request, wrap: Callable[[str, Any], Any] = lambda _, node:
         from hil.analysis.verdict import Monitor
         from hil.record.journal import Journal
         from hil.record.recorder import Recorder
+        from hil.record.ring import StepRing
         from hil.system import System
 
         buses = [bus.name for bus in robot.buses]
@@ -198,6 +200,7 @@ def assemble(request: Request, wrap: Callable[[str, Any], Any] = lambda _, node:
             )
             if kernel is not None:
                 kernel.connect(system)
+            system.ring = StepRing(world.every_step(), scenario.world.rate)
             system.wires = [wrap("bus", wire) for wire in system.wires]
             pids = {"launcher": os.getpid(), **family.pids}
             endpoint = controller.endpoint if session is not None else None
@@ -310,7 +313,8 @@ def conclude(
         "versions": versions(),
         "configuration": scenario.model_dump(mode="json"),
     }
-    outcome = Outcome(record, status, tables)
+    failed = system.stop_reason is not None and system.ring is not None
+    outcome = Outcome(record, status, tables, system.ring.table(system.world.steps) if failed else None)
     if request.out is not None:
         if request.video and len(tables["world"]):
             from hil.report.video import write_video
@@ -338,6 +342,14 @@ def write_record(directory: Path, scenario: Scenario, outcome: Outcome, report: 
     robot = description.load(scenario.robot)
     for bus in robot.buses:
         (directory / f"{bus.name}.dbc").write_text(dbc(robot, bus), encoding="utf-8")
+    if outcome.last_seconds is not None:
+        from hil.record.mcap_writer import McapWriter
+        from hil.record.ring import CHANNEL, LAST_SECONDS_FILE
+
+        table = outcome.last_seconds
+        writer = McapWriter(directory / LAST_SECONDS_FILE, {CHANNEL: table.names})
+        writer.write(CHANNEL, table.times, table.data)
+        writer.close()
     partial = directory / "run.json.part"
     partial.write_text(json.dumps(outcome.record, indent=2), encoding="utf-8")
     partial.replace(directory / "run.json")  # never half a record

@@ -17,9 +17,8 @@ def add_parser(commands: Any) -> None:
     parser.add_argument("stable", metavar="STABLE", help="a scenario, or the record of a run")
     parser.add_argument("unstable", metavar="UNSTABLE", nargs="?", help="another; left out: the same scenario")
     for name, meaning in (("set", "both"), ("stable-set", "the stable one"), ("unstable-set", "the unstable one")):
-        parser.add_argument(
-            f"--{name}", action="append", default=[], metavar="KEY=VALUE", help=f"change a value of {meaning}; repeatable"
-        )
+        text = f"change a value of {meaning}; repeatable"
+        parser.add_argument(f"--{name}", action="append", default=[], metavar="KEY=VALUE", help=text)
     parser.add_argument("--seed", type=natural, metavar="N", help="of both (0, or that of the record)")
     parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
     parser.set_defaults(command=_bisect)

@@ -48,9 +48,8 @@ def _campaign(options: argparse.Namespace) -> int:
     out = record_directory(options.out, f"campaign-{campaign.name}-{stamp}")
     results = []
     console = Console(file=sys.stderr)
-    progress = Progress(*Progress.get_default_columns()[:2], MofNCompleteColumn(), TimeRemainingColumn(), console=console,
-                        transient=True, disable=not console.is_terminal)  # fmt: skip
-    with progress:
+    columns = (*Progress.get_default_columns()[:2], MofNCompleteColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
         task = progress.add_task(campaign.name, total=len(campaign.row) * len(campaign.seeds))
         for result in run(campaign, options.jobs, out):
             results.append(result)

@@ -83,7 +83,7 @@ def add_parser(commands: Any) -> None:
     """Add the subcommand to ``hil``."""
     parser = commands.add_parser("replay", help="repeat a recorded run, with all that came into it from outside")
     parser.add_argument("directory", type=Path, metavar="DIR", help="the run's record")
-    parser.add_argument("--out", type=Path, metavar="NEW", help="write a whole record of the replay, with logs and report")
+    parser.add_argument("--out", type=Path, metavar="NEW", help="write the replay's record, with logs and report")
     parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
     parser.set_defaults(command=_replay)
 

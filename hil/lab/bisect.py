@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from copy import deepcopy
 from dataclasses import dataclass, field
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, Literal, TypeVar
 
@@ -30,7 +31,7 @@ def ddmin(items: Sequence[T], test: Callable[[Sequence[T]], Result]) -> list[T]:
     while len(found) >= 2:
         size, extra = divmod(len(found), parts)
         starts = [k * size + min(k, extra) for k in range(parts + 1)]
-        chunks = [found[low:high] for low, high in zip(starts, starts[1:], strict=False)]
+        chunks = [found[low:high] for low, high in pairwise(starts)]
         subset = next((chunk for chunk in chunks if test(chunk) == "unstable"), None)
         if subset is not None:
             found, parts = subset, 2
@@ -56,8 +57,8 @@ class Side:
 
 
 def side(place: str, settings: Sequence[str], seed: int | None) -> Side:
-    """The scenario ``place`` with ``settings``, or the one of the recorded run in the directory ``place``, with what was
-    injected into it by hand. Raises UserError."""
+    """The scenario ``place`` with ``settings``, or the one of the recorded run in the directory ``place``, with what
+    was injected into it by hand. Raises UserError."""
     directory = Path(place)
     if not (directory / journal.JOURNAL_FILE).exists():
         return Side(load(place, settings), seed or 0, place)

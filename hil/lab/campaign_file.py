@@ -81,7 +81,8 @@ def text_of(name: str) -> str:
         raise UserError(f"{name}: cannot be read ({error.strerror})") from None
     except UnicodeDecodeError as error:
         raise UserError(f"{name}: not valid TOML (byte {error.start} is not UTF-8)") from None
-    raise UserError(f"no campaign {name!r}{schema.nearest(name, builtin_campaigns())} (a file of your own ends in .toml)")
+    nearest = schema.nearest(name, builtin_campaigns())
+    raise UserError(f"no campaign {name!r}{nearest} (a file of your own ends in .toml)")
 
 
 def read(name: str) -> Campaign:
@@ -144,7 +145,7 @@ def _trial(campaign: Campaign, row: Row) -> Trial:
             parse_value(key, value)
     joint = _joint(row, robot)
     if row.expect == "safe_state" and row.within is None:
-        raise UserError('within is missing: expect = "safe_state" needs the time that the drive has, for example "50ms"')
+        raise UserError('within is missing: the time that the drive has for expect = "safe_state", as "50ms"')
     if row.expect == "stable" and (row.within is not None or row.may_fall or row.joint is not None):
         raise UserError('within, may_fall and joint belong to expect = "safe_state"')
     return Trial(

@@ -122,8 +122,8 @@ class Running:
         self._experiment.close()
 
     def save(self, directory: Path) -> None:
-        """Write the record as of now into ``directory``, which is created: verdict, report, signals, and the journal, so
-        that ``hil replay`` can repeat it. Buses' logs are not kept in memory: ``hil replay --out`` writes them."""
+        """Write the record as of now into ``directory``, which is created: verdict, report, signals, and the journal,
+        so that ``hil replay`` can repeat it. Buses' logs are not kept in memory: ``hil replay --out`` writes them."""
         from hil.record.mcap_writer import McapWriter
 
         outcome = self.outcome()

@@ -18,7 +18,9 @@ if TYPE_CHECKING:
 _SAID = {"passed": "as expected", "weak": "known weakness", "failed": "not as expected"}
 
 
-def write_page(path: Path, campaign: Campaign, results: Sequence[Result], source: str, versions: Mapping[str, str]) -> None:
+def write_page(
+    path: Path, campaign: Campaign, results: Sequence[Result], source: str, versions: Mapping[str, str]
+) -> None:
     """Write the page to ``path``; the records of runs are linked from there. ``source``: the campaign's file."""
     failed = [result for result in results if result.status == "failed"]
     weak = sum(result.status == "weak" for result in results)
