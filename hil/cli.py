@@ -256,6 +256,8 @@ def _print_outcome(record: dict[str, Any]) -> None:
 
     print(f"{record['scenario']}, seed {record['seed']}, {record['backend']}, {record['clock']} clock")
     print(f"verdict     {record['verdict']}: {record['reason']}")
+    for sign in record["came_first"][:1]:
+        print(f"came first  {sign['kind']}, {sign['where']}, at {sign['time']:.2f} s: {sign['sentence']}")
     print(f"simulated   {record['simulated_time']:.2f} s at {record['realtime_factor']:.2f} × real time")
     print(f"CoM error   max {number('com_error_max', 1e3, 'mm')}, rms {number('com_error_rms', 1e3, 'mm')}")
     if metrics.get("internal_force_error") is not None:

@@ -9,7 +9,7 @@ import platform
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from importlib import metadata
 from pathlib import Path
 from types import MappingProxyType
@@ -287,6 +287,11 @@ def conclude(
         name, reason, status = "stable", verdict.reason, EXIT_STABLE
     else:
         name, reason, status = "unstable", verdict.reason, EXIT_UNSTABLE
+    came_first = []
+    if name == "unstable":
+        from hil.analysis.causes import signs
+
+        came_first = [asdict(sign) for sign in signs(tables, scenario)]
     record: dict[str, Any] = {
         "scenario": scenario.name,
         "seed": request.seed,
@@ -296,6 +301,7 @@ def conclude(
         "external": list(request.external),
         "verdict": name,
         "reason": reason,
+        "came_first": came_first,
         "metrics": verdict.metrics,
         "bus": bus_statistics(system.wires, scenario),
         "log_digest": recorder.digest(),
