@@ -2,7 +2,7 @@
 oscillation with its frequency.
 
 Each is a *sign*: a condition that began at some time and is not of the undisturbed run. Oscillations are looked for in
-what was before the first of the others, because a slip shakes everything.
+what was before anything slipped, lost contact or stopped, because that shakes everything.
 """
 
 from __future__ import annotations
@@ -25,6 +25,7 @@ _UNLOADED_S = 0.02
 _MISSED_PERIODS = 3  # of the controller, without what each of them should have brought
 _WINDOW_S, _HOP_S = 1.0, 0.05
 _PERIODS = 3  # fewest in a window
+_SHAKES = ("slip", "contact loss", "drive fault")  # after which all oscillates
 _GROWTH = 3.0  # over the least amplitude so far, from which it counts as begun
 _NARROW = 3.0  # over the spectrum beside it
 
@@ -53,7 +54,7 @@ def signs(tables: Mapping[str, Signals], scenario: Scenario) -> list[Sign]:
         return []
     run = Derived(tables, scenario.terrain, scenario.limits.settle)
     found = [*_saturation(run), *_slip(run), *_contact(run), *_missed(run, scenario), *_faults(run)]
-    until = min((sign.time for sign in found if sign.kind != "saturation"), default=np.inf)
+    until = min((sign.time for sign in found if sign.kind in _SHAKES), default=np.inf)
     found += _oscillations(run, scenario, until)
     return sorted(found, key=lambda sign: sign.time)
 
@@ -110,12 +111,13 @@ def _missed(run: Derived, scenario: Scenario) -> Iterator[Sign]:
         began = float(time - age[late[0]])
         text = f"no state of a drive for {1e3 * age[late[0]]:.1f} ms at the controller"
         yield Sign(began, "missed frames", "states", text)
-    settled, times = run.settled(run.drives), run.drives.seconds
+    begun = {}
     for joint in run.drives.members("round_trip"):
-        missing = settled & ~np.isfinite(run.drives[f"round_trip.{joint}"])
-        begin = _first_run(times, missing, (_MISSED_PERIODS - 1) * period * 0.999)
-        if begin is not None:
-            yield Sign(begin, "missed frames", joint, f"{_MISSED_PERIODS} commands in a row did not come")
+        missing = run.settled(run.drives) & ~np.isfinite(run.drives[f"round_trip.{joint}"])
+        begun[joint] = _first_run(run.drives.seconds, missing, (_MISSED_PERIODS - 1) * period * 0.999)
+    for time in sorted({time for time in begun.values() if time is not None}):
+        joints = ", ".join(joint for joint in begun if begun[joint] == time)
+        yield Sign(time, "missed frames", joints, f"{_MISSED_PERIODS} commands or more in a row did not come")
 
 
 def _faults(run: Derived) -> Iterator[Sign]:
@@ -180,7 +182,7 @@ def onset(times: np.ndarray, values: np.ndarray, least: float) -> tuple[float, f
     last = amplitudes[-1]
     peak = _PERIODS + int(np.argmax(last[_PERIODS : len(last) // 2]))  # bins are one period per window apart
     beside = np.concatenate([last[max(1, peak - 6) : peak - 2], last[peak + 3 : peak + 7]])
-    if last[peak] < max(least, _NARROW * float(beside.max(initial=0.0))):
+    if last[peak] < max(least, _NARROW * float(beside.max(initial=0.0)), *last[peak - 1 : peak + 2]):
         return None
     course = amplitudes[:, peak - 1 : peak + 2].max(axis=1)
     begun = course > max(least, _GROWTH * course.min())

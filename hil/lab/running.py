@@ -66,9 +66,10 @@ class Running:
         """
         try:
             seconds = parse_quantity(end, "s") if isinstance(end, str) else float(end)
+            end_ns = round(seconds * 1e9)
         except ValueError as error:
             raise UserError(f"until: {error}") from None
-        if not self.system.now_ns <= round(seconds * 1e9) <= self._end_ns:
+        if not self.system.now_ns <= end_ns <= self._end_ns:
             span = f"{self.time:g} s, now, to {self.scenario.duration:g} s, where the scenario ends"
             raise UserError(f"until {seconds:g} s: expected {span}")
         self._advance(seconds)
