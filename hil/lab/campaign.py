@@ -95,13 +95,14 @@ def _run(running: Running, trial: Trial, out: Path | None) -> Result:
             running.system.monitor = _falls_only(running)
         good, sentence, safe_after = _observe(running, trial)
     except HilError as error:
-        good, sentence, safe_after = False, str(error), None
+        return replace(result, sentence=str(error), elapsed=time.monotonic() - began)
     finally:
         running.system.monitor = monitor
+    in_time = trial.joint is None or (safe_after is not None and safe_after <= _within(trial))
     status: Status = "passed" if good else "failed"
     if weakness and good:
         status, sentence = "failed", f"came out as expected, though it is listed as a known weakness: {sentence}"
-    elif weakness:
+    elif weakness and in_time:
         status = "weak"
     record = None
     if status != "passed" and out is not None:
@@ -135,10 +136,9 @@ def _observe(running: Running, trial: Trial) -> tuple[bool, str, float | None]:
     if trial.joint is None:
         outcome = running.outcome()
         return outcome.stable, outcome.reason, None
-    within = trial.row.within or 0.0
     fallen = running.stopped
     stood = "it does not fall" if fallen is None else fallen
-    if safe_after is None or safe_after > within:
+    if safe_after is None or safe_after > _within(trial):
         when = "does not stop" if safe_after is None else f"stops only after {1e3 * safe_after:.1f} ms"
         return False, f"the drive of {trial.joint} {when}; {stood}", safe_after
     good = fallen is None or trial.row.may_fall
@@ -159,9 +159,14 @@ def _stop(running: Running, trial: Trial) -> float | None:
     return running.time - begin
 
 
+def _within(trial: Trial) -> float:
+    assert trial.row.within is not None  # as is checked of every row that expects a safe state
+    return trial.row.within
+
+
 def expectation(trial: Trial) -> str:
     """What is expected of a row, in words."""
     if trial.joint is None:
         return "stays stable"
     falls = "" if trial.row.may_fall else ", the robot does not fall"
-    return f"the drive of {trial.joint} stops within {1e3 * (trial.row.within or 0.0):g} ms{falls}"
+    return f"the drive of {trial.joint} stops within {1e3 * _within(trial):g} ms{falls}"

@@ -23,7 +23,8 @@ class Row(Config):
     """One trial: what is wrong, and what is expected then.
 
     ``stable`` expects the verdict. ``safe_state`` expects that the drive of ``joint`` has stopped ``within`` that time,
-    its power off or braking, and that the robot has not fallen by the end, unless it may.
+    its power off or braking, and that the robot has not fallen by the end, unless it may. ``known_weakness`` excuses a
+    verdict and a fall, but no drive that stops too late.
     """
 
     name: Annotated[str, Field(min_length=1, max_length=120)]

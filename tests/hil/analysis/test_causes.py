@@ -100,11 +100,13 @@ def test_a_sensor_that_jumps_stops_its_drive() -> None:
     assert found[0].time == pytest.approx(1.0, abs=0.005)
 
 
-def test_ground_that_is_too_slippery() -> None:
-    """Less than half of what 45° take with this internal force."""
-    reason, found = ran({"duration": "4s", "terrain.friction": 0.25, "limits.settle": "1.1s"})
+def test_a_foot_that_is_pulled_away() -> None:
+    """A push that leaves the uphill foot nothing to press on."""
+    push = {"at": "2.6s", "duration": "1s", "ramp": "0.1s", "force": ["200N", "0N", "0N"]}
+    reason, found = ran({"duration": "4s", "push": [push]})
     assert reason.startswith("foot slipped")
-    assert found[0].kind in ("slip", "contact loss") and "foot" in found[0].where
+    assert found[0].kind in ("slip", "contact loss") and found[0].where == "left_foot"
+    assert found[0].time > 2.6
 
 
 def test_a_drive_that_may_give_little_saturates() -> None:

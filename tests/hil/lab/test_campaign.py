@@ -132,6 +132,13 @@ faults = { "bus.left_leg.node.left_knee.cut" = true }
 known_weakness = "no robot stands without a state of its knee, or so"
 
 [[row]]
+name = "cut, and too little time for a weakness"
+faults = { "bus.left_leg.node.left_knee.cut" = true }
+expect = "safe_state"
+within = "4ms"
+known_weakness = "it may fall, but it may not be late"
+
+[[row]]
 name = "a weakness that is none"
 faults = { "link.command.delay" = "1ms" }
 known_weakness = "this is what was thought of it once"
@@ -142,7 +149,7 @@ set = { "limits.fall_height" = 1.2 }
 at = "0s"
 faults = { "link.command.delay" = "1ms" }
 """
-CAME_OUT = ["passed", "passed", "failed", "weak", "failed", "failed"]
+CAME_OUT = ["passed", "passed", "failed", "weak", "failed", "failed", "failed"]
 
 
 def test_rows_come_out_as_expected_or_not(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
@@ -154,20 +161,20 @@ def test_rows_come_out_as_expected_or_not(tmp_path: Path, capsys: pytest.Capture
     assert 0.005 <= cut["safe_after"] <= 0.006  # the watchdog is 5 ms, a control period goes by before the injection
     assert "stops only after" in told["results"][2]["sentence"]
     assert told["results"][3]["sentence"].startswith("drive silent")
-    assert told["results"][4]["sentence"].startswith("came out as expected, though it is listed as a known weakness")
+    assert told["results"][5]["sentence"].startswith("came out as expected, though it is listed as a known weakness")
     for result, status in zip(told["results"], CAME_OUT, strict=True):
         assert (result["record"] is not None) == (status != "passed")
         assert status == "passed" or (Path(result["record"]) / "run.json").exists()
 
     suite = ElementTree.parse(out / "junit.xml").getroot()[0]
-    assert (suite.get("tests"), suite.get("failures"), suite.get("skipped")) == ("6", "3", "1")
+    assert (suite.get("tests"), suite.get("failures"), suite.get("skipped")) == ("7", "4", "1")
     assert [[child.tag for child in case] for case in suite] == [
         {"passed": [], "weak": ["skipped"], "failed": ["failure"]}[status] for status in CAME_OUT
     ]
     page = (out / "report.html").read_text()
     for target in re.findall(r'href="([^"]+)"', page):
         assert (out / target).exists()
-    assert page.count("href=") == 4 and "no robot stands without a state of its knee" in page
+    assert page.count("href=") == 5 and "no robot stands without a state of its knee" in page
 
 
 def test_results_do_not_depend_on_processes_or_on_what_ran_before(tmp_path: Path) -> None:
