@@ -32,7 +32,7 @@ _NARROW = 3.0  # over the spectrum beside it
 
 @dataclass(frozen=True)
 class Sign:
-    """kind: saturation, slip, contact loss, missed frames, drive fault, or oscillation. frequency: of the latter, Hz."""
+    """kind: saturation, slip, contact loss, missed frames, drive fault, or oscillation, with its frequency, Hz."""
 
     time: float
     kind: str

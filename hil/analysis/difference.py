@@ -116,7 +116,7 @@ def _differences(a: _Run, b: _Run) -> Iterator[Difference]:
             time = min(entry["time_ns"] for entry in present)
             here = [e if e is not None and e["time_ns"] == time else None for e in (one, other)]
             node = next(e.get("bus") or e["key"].rpartition(".")[0] for e in here if e is not None)
-            yield Difference(time, "injection", node, "from outside", *(_injection(e) for e in here))
+            yield Difference(time, "injection", node, "injected", *(_injection(e) for e in here))
             break
     for bus in a.robot.buses:
         logs = a.log(bus.name), b.log(bus.name)

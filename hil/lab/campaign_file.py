@@ -7,7 +7,7 @@ from importlib import resources
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, ValidationError
+from pydantic import BeforeValidator, Field, ValidationError
 
 from hil import schema
 from hil.errors import UserError
@@ -16,7 +16,19 @@ from hil.scenario import Scenario, load, parse_value
 from robots import description
 from robots.quantities import Config, Seconds
 
-Settings = dict[str, Any]  # values by key, as of --set
+
+
+def _flat(table: Any, path: str = "") -> Any:
+    """Values by whole key, however they are nested: in TOML ``a.b = 1`` is a table within a table."""
+    if not isinstance(table, dict):
+        return table
+    values: dict[str, Any] = {}
+    for key, value in table.items():
+        values |= _flat(value, f"{path}{key}.") if isinstance(value, dict) else {f"{path}{key}": value}
+    return values
+
+
+Settings = Annotated[dict[str, Any], BeforeValidator(_flat)]  # values by key, as of --set
 
 
 class Row(Config):

@@ -83,7 +83,8 @@ class Signals:
 
     @classmethod
     def load(cls, path: str | Path, channel: str, file: str = SIGNALS_FILE) -> Self:
-        """One channel of the run in directory ``path``, of this of its files; what a killed run had written is read without complaint.
+        """One channel of the run in directory ``path``, from this of its files; what a killed run had written is read
+        without complaint.
 
         Raises UserError if there is no such run or channel.
         """

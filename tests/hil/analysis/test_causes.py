@@ -106,7 +106,7 @@ def test_a_foot_that_is_pulled_away() -> None:
     reason, found = ran({"duration": "4s", "push": [push]})
     assert reason.startswith("foot slipped")
     assert found[0].kind in ("slip", "contact loss") and found[0].where == "left_foot"
-    assert found[0].time > 2.6
+    assert found[0].time > 2.5  # where the ramp begins
 
 
 def test_a_drive_that_may_give_little_saturates() -> None:

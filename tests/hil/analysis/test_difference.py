@@ -21,10 +21,10 @@ from hil.run import Request, run
 from hil.scenario import load
 
 SETTINGS = {"duration": "0.35s", "controller.stand_at": "0.05s", "world.hoist.hold": "1s"}
-CORRUPT = {"at": "0.2s", "until": "0.2003s", "key": "bus.left_leg.corruption", "value": 1.0}
+CORRUPT = {"at": "0.2s", "until": "0.2003s", "key": "bus.left_leg.corruption", "value": 0.25}
 
 
-def recorded(out: Path, inject: tuple[dict[str, Any], ...] = (), seed: int = 0, **more: Any) -> Path:
+def recorded(out: Path, inject: tuple[dict[str, Any], ...] = (), seed: int = 4, **more: Any) -> Path:
     run(Request(load("stand", SETTINGS | more, inject), seed, "inline", out=out, report=False))
     return out
 
@@ -68,10 +68,11 @@ def test_one_bit_of_one_frame_of_a_copied_log(sound: Path, tmp_path: Path, capsy
 def test_a_run_with_one_corrupted_frame(sound: Path, tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     """The injection comes first, then the frame that it hit, then who read it."""
     other = recorded(tmp_path / "corrupted", (CORRUPT,))
+    assert json.loads((other / "run.json").read_text())["deliveries"]["bus.left_leg"]["corrupted"] == 1
     found = compare(sound, other)
     assert list(found.start) == ["inject"]
     injection, frame, *rest = found.differences
-    assert (injection.kind, injection.b) == ("injection", "bus.left_leg.corruption = 1.0")
+    assert (injection.kind, injection.b) == ("injection", "bus.left_leg.corruption = 0.25")
     assert 200_000_000 <= injection.time_ns < frame.time_ns < 201_000_000
     assert frame.kind == "frame" and "on left_leg, bit " in frame.what
     # which frame it was: the only line of that time in either log
@@ -80,6 +81,7 @@ def test_a_run_with_one_corrupted_frame(sound: Path, tmp_path: Path, capsys: pyt
         next(line for line in (record / "left_leg.log").read_text().splitlines() if line.startswith(stamp))
         for record in (sound, other)
     ]
+    assert frame.what == "state 0x184 on left_leg, bit 5 of byte 10: velocity"  # with this seed
     ones = [bytes.fromhex(line.rpartition("##5")[2]) for line in pair]
     differing = int.from_bytes(ones[0], "little") ^ int.from_bytes(ones[1], "little")
     assert differing.bit_count() == 1
@@ -112,7 +114,7 @@ def test_a_signal_that_differs_in_its_last_bit(sound: Path, tmp_path: Path) -> N
 def test_another_seed_and_value_are_named(sound: Path, tmp_path: Path) -> None:
     other = recorded(tmp_path / "other", seed=3, **{"link.command.delay": "1ms"})
     found = compare(sound, other)
-    assert found.start == {"link.command.delay": ('"0.0 s"', '"0.001 s"'), "seed": ("0", "3")}
+    assert found.start == {"link.command.delay": ('"0.0 s"', '"0.001 s"'), "seed": ("4", "3")}
     assert found.first is not None
 
 

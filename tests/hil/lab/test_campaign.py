@@ -12,14 +12,19 @@ from hil.errors import UserError
 from hil.injection import injectable
 from hil.lab.campaign import run
 from hil.lab.campaign_file import Campaign, builtin_campaigns, read, trials
-from hil.schema import field
 from hil.scenario import Scenario
+from hil.schema import field
 from robots import description
 
 HEAD = """
 scenario = "stand"
-set = { duration = "0.9s", "controller.stand_at" = "0.2s", "controller.weight_ramp" = "0.2s", "world.hoist.hold" = "0.3s" }
 at = "0.7s"
+
+[set]
+duration = "0.9s"
+controller.stand_at = "0.2s"
+controller.weight_ramp = "0.2s"
+world.hoist.hold = "0.3s"
 """
 
 
@@ -75,7 +80,7 @@ ROW = '[[row]]\nname = "a"\n'
         (ROW + 'expect = "fine"', "row 'a': row.0.expect = 'fine': expected 'stable' or 'safe_state'"),
         (ROW + "within = 3", "row 'a': row.0.within = 3: 3 has no unit: write one of s, ms"),
         (ROW + ROW, "row 'a': there are two of this name"),
-        (ROW + "faults = { 'bus.left_leg.los' = 0.1 }", "row 'a': faults: nothing to inject at 'bus.left_leg.los'; did"),
+        (ROW + "faults = { 'bus.left_leg.los' = 0.1 }", "row 'a': faults: nothing to inject at 'bus.left_leg.los';"),
         (ROW + "faults = { 'bus.left_leg.loss' = 2 }", "row 'a': bus.left_leg.loss = 2: expected at most 1"),
         (ROW + 'at = "0s"\nfaults = { "link.x" = 2 }', "row 'a': stand: unknown key 'link.x'"),
         (ROW + 'scenario = "stant"', "row 'a': no scenario 'stant'; did you mean 'stand'?"),
@@ -96,6 +101,14 @@ def test_mistakes_of_a_file(tmp_path: Path, rows: str, sentence: str, capsys: py
     assert main(["campaign", file, "--out", str(tmp_path / "out")]) == 2
     assert not (tmp_path / "out").exists()
     assert len(capsys.readouterr().err.splitlines()) == 1
+
+
+def test_tables_may_be_nested(tmp_path: Path) -> None:
+    """``controller.stand_at`` above is one of its keys among others, as in ``split-terrain``."""
+    rows = ROW + 'scenario = "split-terrain"\n[row.faults]\nbus.left_leg.burst = { enter = 0.1, loss = 0.5 }'
+    (trial,) = trials(read(written(tmp_path, rows)))
+    assert trial.faults == {"bus.left_leg.burst.enter": 0.1, "bus.left_leg.burst.loss": 0.5}
+    assert trial.scenario.controller.stand_at == 0.2 and trial.scenario.controller.path.kind == "ellipse"
 
 
 def test_names_of_campaigns(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
