@@ -62,25 +62,41 @@ def builtin_names() -> list[str]:
     return sorted(f.name[:-5] for f in files if f.name.endswith(".toml"))
 
 
-def load(name: str, settings: typing.Sequence[str] = ()) -> Scenario:
-    """The scenario ``name`` (built in, or the path of a TOML file) with ``settings`` ("key=value") applied.
+def load(
+    name: str,
+    settings: typing.Sequence[str] | Mapping[str, Any] = (),
+    inject: typing.Sequence[Mapping[str, Any]] = (),
+) -> Scenario:
+    """The scenario ``name`` (built in, or the path of a TOML file) with ``settings`` applied: "key=value", or values
+    by key, texts as on a command line; then ``inject`` (tables as in a file) added to its own.
 
     Raises UserError with the key's path and what would be right.
     """
     data, source = _read(name)
-    for setting in settings:
-        key, separator, text = setting.partition("=")
-        if not separator or not all(part.strip() for part in key.split(".")):
-            raise UserError(f"--set {setting}: expected KEY=VALUE, for example --set link.command.delay=3ms")
-        _assign(data, key.strip(), _literal(text.strip()))
-    _calibrate(data, Path(source).parent if source.endswith(".toml") else Path(), settings)
+    pairs = list(settings.items() if isinstance(settings, Mapping) else map(_setting, settings))
+    for key, value in pairs:
+        if not isinstance(key, str) or not all(part.strip() for part in key.split(".")):
+            raise UserError(f"{key!r} is no key; one is, for example, 'link.command.delay'")
+        assign(data, key.strip(), _literal(value.strip()) if isinstance(value, str) else value)
+    if inject:
+        own = data.get("inject", [])
+        data["inject"] = [*own, *inject] if isinstance(own, list) else own
+    folder = Path(source).parent if source.endswith(".toml") else Path()
+    _calibrate(data, folder, [key.strip() for key, _ in pairs])
     return complete(data, source)
 
 
-def _calibrate(data: dict[str, Any], folder: Path, settings: typing.Sequence[str]) -> None:
-    """Take over the file that ``firmware.calibration`` names: beside the scenario, or if --set names it from here."""
-    key = f"firmware.{calibration.KEY}"
-    if any(setting.partition("=")[0].strip() == key for setting in settings):
+def _setting(text: str) -> tuple[str, str]:
+    key, separator, value = text.partition("=")
+    if not separator or not all(part.strip() for part in key.split(".")):
+        raise UserError(f"--set {text}: expected KEY=VALUE, for example --set link.command.delay=3ms")
+    return key, value
+
+
+def _calibrate(data: dict[str, Any], folder: Path, keys: typing.Sequence[str]) -> None:
+    """Take over the file that ``firmware.calibration`` names: beside the scenario, or if one of the ``keys`` set, from
+    here."""
+    if f"firmware.{calibration.KEY}" in keys:
         folder = Path()
     try:
         robot = description.load(data.get("robot", Scenario.model_fields["robot"].default))
@@ -101,6 +117,15 @@ def complete(data: dict[str, Any], source: str) -> Scenario:
     return scenario.model_copy(update={"bus": buses})
 
 
+def from_record(configuration: dict[str, Any], source: str) -> Scenario:
+    """The scenario of a ``model_dump`` that a run has recorded at ``source``. Raises UserError for anything else."""
+    try:
+        data = tomllib.loads(to_toml(configuration))
+    except (ValueError, TypeError, AttributeError):
+        raise UserError(f"{source} is no scenario") from None
+    return complete(data, source)
+
+
 def validate(data: dict[str, Any], source: str = "") -> Scenario:
     """Check ``data`` against the schema. Raises UserError naming a wrong key and what would be right."""
     try:
@@ -119,7 +144,7 @@ def parse_value(key: str, value: Any) -> float | bool | str:
     Raises UserError for an unknown key or a value that the key does not take.
     """
     data: dict[str, Any] = {"name": "value"}
-    _assign(data, key, value)
+    assign(data, key, value)
     node: Any = validate(data)
     for part in key.split("."):
         node = node[part] if isinstance(node, dict) else getattr(node, part)
@@ -169,7 +194,8 @@ def _literal(text: str) -> Any:
     return read["value"] if len(read) == 1 else text
 
 
-def _assign(data: dict[str, Any], key: str, value: Any) -> None:
+def assign(data: dict[str, Any], key: str, value: Any) -> None:
+    """Set ``key`` of the scenario file's content ``data``. Raises UserError where a table is in the way of it."""
     *parents, leaf = key.split(".")
     node = data
     for part in parents:

@@ -47,10 +47,10 @@ class Journal:
 
 
 class Digests(Journal):
-    """Keeps the digests of a replay by their time, to be compared."""
+    """Keeps the digests of a replay by their time, to be compared; writes the journal, too, if it has a directory."""
 
-    def __init__(self) -> None:
-        super().__init__(None)
+    def __init__(self, directory: Path | None = None) -> None:
+        super().__init__(directory)
         self.at: dict[int, str] = {}
 
     @property
@@ -58,8 +58,24 @@ class Digests(Journal):
         return True
 
     def write(self, entry: dict[str, Any]) -> None:
+        super().write(entry)
         if "digest" in entry and "time_ns" in entry:
             self.at[entry["time_ns"]] = entry["digest"]
+
+
+class Entries(Journal):
+    """Keeps a run's entries in memory."""
+
+    def __init__(self) -> None:
+        super().__init__(None)
+        self.entries: list[dict[str, Any]] = []
+
+    @property
+    def is_open(self) -> bool:
+        return True
+
+    def write(self, entry: dict[str, Any]) -> None:
+        self.entries.append(entry)
 
 
 def frame_entry(time_ns: int, bus: str, port: int, frame: Frame) -> dict[str, Any]:

@@ -61,6 +61,17 @@ class RowRecorder:
         self._taken = len(self)
         return [part for part in parts if len(part[0])]
 
+    def snapshot(self) -> tuple[list[tuple[np.ndarray, np.ndarray]], np.ndarray, np.ndarray, int]:
+        """All rows so far; full blocks are shared, nothing writes to them any more."""
+        return list(self._full), self._times[: self._count].copy(), self._rows[: self._count].copy(), self._taken
+
+    def restore(self, state: tuple[list[tuple[np.ndarray, np.ndarray]], np.ndarray, np.ndarray, int]) -> None:
+        full, times, rows, self._taken = state
+        self._full = list(full)
+        self._new_block()
+        self._count = len(times)
+        self._times[: self._count], self._rows[: self._count] = times, rows
+
     def table(self) -> Signals:
         """All rows so far, copied."""
         blocks = [*self._full, (self._times[: self._count], self._rows[: self._count])]
@@ -168,6 +179,27 @@ class Recorder:
     def tables(self) -> dict[str, Signals]:
         """All channels so far, by name."""
         return {name: channel.table() for name, channel in self._channels.items()}
+
+    def snapshot(self) -> dict[str, Any]:
+        """The record so far. Raises ValueError for one that is written to a directory: what is written is written."""
+        if self._mcap is not None:
+            raise ValueError("only a record that is kept in memory can go back")
+        return {
+            "channels": {name: channel.snapshot() for name, channel in self._channels.items()},
+            "frames": [list(frames) for frames in self._frames],
+            "hashes": {name: (times.copy(), rows.copy()) for name, (times, rows) in self._hashes.items()},
+            "bus_hashes": [lines.copy() for lines in self._bus_hashes],
+            "flushed_ns": self.flushed_ns,
+        }
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Continue from ``snapshot``; what came after it is forgotten."""
+        for name, channel in self._channels.items():
+            channel.restore(state["channels"][name])
+        self._frames = [list(frames) for frames in state["frames"]]
+        self._hashes = {name: (times.copy(), rows.copy()) for name, (times, rows) in state["hashes"].items()}
+        self._bus_hashes = [lines.copy() for lines in state["bus_hashes"]]
+        self.flushed_ns = state["flushed_ns"]
 
     def close(self) -> None:
         """Flush, complete the MCAP file with its summary, and close all files. A second call does nothing."""
