@@ -17,7 +17,6 @@ from robots import description
 from robots.quantities import Config, Seconds
 
 
-
 def _flat(table: Any, path: str = "") -> Any:
     """Values by whole key, however they are nested: in TOML ``a.b = 1`` is a table within a table."""
     if not isinstance(table, dict):
