@@ -131,7 +131,8 @@ def _parser() -> argparse.ArgumentParser:
     inject.set_defaults(command=_inject)
 
     joint_command.add_parser(commands)
-    from hil.commands import bisect, campaign, diff, margin, protection, replay
+    from hil.commands import bisect, campaign, diff, margin, protection, replay, sweep
+    from hil.commands import map as map_command
 
     replay.add_parser(commands)
     diff.add_parser(commands)
@@ -139,6 +140,8 @@ def _parser() -> argparse.ArgumentParser:
     campaign.add_parser(commands)
     protection.add_parser(commands)
     margin.add_parser(commands)
+    sweep.add_parser(commands)
+    map_command.add_parser(commands)
     eds.add_parser(commands)
     export.add_parser(commands)
     bus_command.add_parser(commands)

@@ -59,7 +59,7 @@ def _margin(options: argparse.Namespace) -> int:
     search = checked(Search(scenario, varied, seconds("--at", options.at), near, far, resolution))
     jobs = options.jobs or default_jobs()
     with Counter(f"{scenario.name}: {varied.key}", options.seeds, "seeds", sys.stderr) as progress:
-        found = margins(search, range(options.seeds), jobs, lambda _: progress.advance())
+        found = margins(search, range(options.seeds), jobs, progress.show)
     result = summary(search, found)
     if options.out is not None:
         from hil.report.margin_page import write_margin
