@@ -18,7 +18,6 @@ from hil.report.html import document, folded, picture
 from hil.report.plots import encoded
 from hil.scenario import to_toml
 
-
 _NAME = 12  # characters before the text of a line
 
 
