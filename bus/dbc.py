@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 from bus import messages
+from bus.drive_faults import DriveFault
 from bus.messages import Controlword, GainSet, Mode, NmtCommand, NmtState, Setpoint, State, Statusword
 from robots.description import Bus, Robot
 
@@ -55,6 +56,7 @@ _TEXTS = {
     "controlword": _texts(Controlword),
     "mode": _texts(Mode),
     "gain_set": _texts(GainSet),
+    "error": _texts(DriveFault),
     "nmt_state": _texts(NmtState),
     "nmt_command": _texts(NmtCommand),
 }

@@ -52,6 +52,10 @@ class Mode:
     TORQUE = 10  # cyclic synchronous torque
     POSITION = 8  # cyclic synchronous position
     DAMPING = -1  # brake by motor velocity
+    OPEN_LOOP = -2  # torque of the motor, without a torque loop
+    MOTOR_POSITION = -3  # position of the motor, without a torque loop (Kim 2018 (5.23))
+    JOINT_POSITION = -4  # position of the joint around the torque loop (Kim 2018 Fig. 7.1)
+    IMPEDANCE = -5  # commanded torque, stiffness and damping of the joint around the torque loop
 
 
 class GainSet:
@@ -118,7 +122,7 @@ class State(NamedTuple):
     current: float  # A
     motor_velocity: float  # rad/s, motor as seen from the joint
     command_counter: int  # counter of the command in force, modulo 2**16
-    error: int  # CiA 402 error code's low byte; 0: none
+    error: int  # the fault in force: a number of ``bus.drive_faults.DriveFault``
     temperature: int  # °C
 
 
@@ -243,6 +247,12 @@ def decode_setpoint(data: bytes, slot: int) -> Setpoint:
         (cw, mode, gains, tau * NEWTON_METRE, q * RADIAN, dq * RADIAN_PER_SECOND, limit * TORQUE_LIMIT,
          counter)
     )  # fmt: skip
+
+
+def overwrite_torque(data: bytearray, slot: int, counts: int) -> None:
+    """Put ``counts`` in the place of the torque of one slot of a command frame's bytes."""
+    torque = struct.calcsize("<" + SLOT_LAYOUT[: Setpoint._fields.index("torque")])
+    struct.pack_into("<i", data, _COMMAND_HEADER.size + _ONE_SLOT.size * slot + torque, counts)
 
 
 def newer(counter: int, than: int) -> bool:

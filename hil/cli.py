@@ -127,9 +127,10 @@ def _parser() -> argparse.ArgumentParser:
     inject.set_defaults(command=_inject)
 
     joint_command.add_parser(commands)
-    from hil.commands import replay
+    from hil.commands import protection, replay
 
     replay.add_parser(commands)
+    protection.add_parser(commands)
     eds.add_parser(commands)
     bus_command.add_parser(commands)
     return parser
@@ -171,7 +172,7 @@ def _directory(out: Path | None, default: str) -> Path:
 
 def _run(options: argparse.Namespace) -> int:
     from hil.run import Request, run
-    from hil.scenario import load
+    from hil.scenario import load, notes
 
     settings = list(options.settings)
     if options.duration is not None:
@@ -203,6 +204,8 @@ def _run(options: argparse.Namespace) -> int:
     out = _directory(options.out, f"{scenario.name}-seed{options.seed}-{stamp}")
     from hil.control import serve_run
 
+    for note in notes(scenario):
+        print(f"hil: note: {note}", file=sys.stderr)
     request = Request(
         scenario, options.seed, options.backend, options.clock, out, video=options.video, zenoh=options.zenoh,
         log_formats=tuple(options.log_formats),

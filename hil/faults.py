@@ -6,7 +6,8 @@ from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Any
 
-from bus.frames import BASE_ID_LIMIT
+from bus import messages
+from bus.frames import BASE_ID_LIMIT, Frame
 from bus.impairment import NEVER
 from bus.link import Link
 from bus.talkers import Babbler, BackgroundTraffic, Talker
@@ -23,6 +24,59 @@ _ON_THE_WIRE = {
     "cut": "cut", "stuck_dominant": "stuck_dominant", "listen_only": "listen_only", "one_shot": "one_shot",
     "bit_rate": "bit_rate_error",
 }  # fmt: skip
+
+
+_NONSENSE = {"not_a_number": -(2**31), "out_of_range": round(1e5 / messages.NEWTON_METRE)}  # counts
+
+
+class SpoiledCommands:
+    """Command frames whose set-points for some joints make no sense, as from a controller gone wrong.
+
+    ``slots``: by joint its bus and its slot.
+    """
+
+    def __init__(self, slots: Mapping[int, tuple[int, int]]) -> None:
+        self._slots = slots
+        self._kinds: dict[int, str] = {}  # by joint
+
+    def __bool__(self) -> bool:
+        return bool(self._kinds)
+
+    def set(self, joint: int, kind: str) -> None:
+        self._kinds.pop(joint, None)
+        if kind != "ok":
+            self._kinds[joint] = kind
+
+    def apply(self, bus: int, frame: Frame) -> Frame:
+        """What the gateway sends instead of ``frame``."""
+        if frame.id != messages.COMMAND or len(frame.data) != messages.COMMAND_LENGTH:
+            return frame
+        data = bytearray(frame.data)
+        for joint, kind in self._kinds.items():
+            where, slot = self._slots[joint]
+            if where == bus:
+                messages.overwrite_torque(data, slot, _NONSENSE[kind])
+        return frame._replace(data=bytes(data))
+
+    def snapshot(self) -> dict[int, str]:
+        return dict(self._kinds)
+
+    def restore(self, state: dict[int, str]) -> None:
+        self._kinds = dict(state)
+
+
+class JointSetter:
+    """Takes the injected values of one joint: the plant's, and those of its commands."""
+
+    def __init__(self, joint: int, plant: Any, commands: SpoiledCommands) -> None:
+        self._joint, self._plant, self._commands = joint, plant, commands
+
+    def __call__(self, key: str, value: Any, now_ns: int) -> None:
+        """Set ``key`` to ``value``. Raises KeyError for a key that a joint has not."""
+        if key == "command":
+            self._commands.set(self._joint, value)
+        else:
+            self._plant.set(self._joint, key, value)
 
 
 class NodeSetter:
@@ -62,6 +116,7 @@ class Faults:
 
     Args:
         places: (bus, port) by joint.
+        plant: takes the faults of joints, ``set(joint, key, value)``.
         ticks: how often the joints have ticked so far.
     """
 
@@ -73,9 +128,12 @@ class Faults:
         robot: Robot,
         wires: Sequence[Wire],
         places: Mapping[int, tuple[int, int]],
+        plant: Any,
         streams: StreamFactory,
         ticks: Callable[[], int],
     ) -> None:
+        self._plant = plant
+        self.commands = SpoiledCommands({joint: (bus, port - 1) for joint, (bus, port) in places.items()})
         self._robot, self._wires, self._places, self._ticks = robot, wires, places, ticks
         self.senders = Senders(wires, places, int(scenario.firmware.rate))
         self._talkers: dict[str, Talker] = {}
@@ -106,6 +164,8 @@ class Faults:
             for port, name in enumerate((GATEWAY, *bus.joints)):
                 joint = self._robot.joint_names.index(name) if port else None
                 setters[f"bus.{bus.name}.node.{name}"] = NodeSetter(wire, port, joint, self.senders, self._ticks)
+        for joint, name in enumerate(self._robot.joint_names):
+            setters[f"joint.{name}"] = JointSetter(joint, self._plant, self.commands)
         return setters
 
     def _set_talker(self, talker: Talker, key: str, value: Any, now_ns: int) -> None:
@@ -114,10 +174,11 @@ class Faults:
 
     def snapshot(self) -> dict[str, Any]:
         talkers = {path: talker.snapshot() for path, talker in self._talkers.items()}
-        return {"senders": self.senders.snapshot(), "talkers": talkers}
+        return {"senders": self.senders.snapshot(), "talkers": talkers, "commands": self.commands.snapshot()}
 
     def restore(self, state: dict[str, Any]) -> None:
         self.senders.restore(state["senders"])
+        self.commands.restore(state["commands"])
         for path, talker in self._talkers.items():
             talker.restore(state["talkers"][path])
         self.look()

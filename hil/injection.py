@@ -1,8 +1,8 @@
 """Everything that can be injected: what it is called, what values it takes, and how it is applied while a run goes on.
 
 An injectable key is a key of the scenario: what a scenario sets for the whole run can be changed while it goes on.
-The fields of ``bus.config`` are the registry: their units, bounds, defaults and descriptions are what is listed,
-what values are checked against, and what the documentation of a key is.
+The fields of ``bus.config`` and of ``plant.config.JointFaults`` are the registry: their units, bounds, defaults and
+descriptions are what is listed, what values are checked against, and what the documentation of a key is.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from pydantic.fields import FieldInfo
 from bus.config import Babble, Background, Burst, BusConfig, Impairment, NodeFaults
 from hil.errors import UserError
 from hil.record.journal import Journal
+from plant.config import JointFaults
 from robots.description import Robot
 
 if typing.TYPE_CHECKING:
@@ -51,7 +52,14 @@ def injectable(robot: Robot) -> dict[str, Injectable]:
         entries |= _by_key(_fields(Impairment, link))
     for bus in robot.buses:
         entries |= of_bus(bus.name, (GATEWAY,), bus.joints)
+    for joint in robot.joint_names:
+        entries |= of_joint(joint)
     return entries
+
+
+def of_joint(name: str) -> dict[str, Injectable]:
+    """All that can be injected into one joint."""
+    return _by_key(_fields(JointFaults, f"joint.{name}"))
 
 
 def of_bus(name: str, nodes: Sequence[str] = (), joints: Sequence[str] = ()) -> dict[str, Injectable]:
@@ -127,7 +135,8 @@ class Injector:
         self.injected: list[dict[str, Any]] = []
         for key, value in self._values.items():
             # all others are built with their configuration
-            if (".node." in key or key.endswith(".damage")) and value != self._known[key].default:
+            with_set = key.startswith("joint.") or ".node." in key or key.endswith(".damage")
+            if with_set and value != self._known[key].default:
                 self._set(key, value, 0)
 
     @property

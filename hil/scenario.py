@@ -17,7 +17,7 @@ from hil import schema
 from hil.analysis.verdict import VerdictConfig
 from hil.errors import UserError
 from joint_firmware.config import FirmwareConfig
-from plant.config import PushConfig, SensorConfig, StanceConfig, TerrainConfig, WorldConfig
+from plant.config import JointFaults, PushConfig, SensorConfig, StanceConfig, TerrainConfig, WorldConfig
 from robots import description
 from robots.quantities import Config, Seconds
 
@@ -49,6 +49,7 @@ class Scenario(Config):
     controller: ControllerConfig = ControllerConfig()
     link: LinkConfig = LinkConfig()
     bus: dict[str, BusConfig] = Field(default_factory=dict)
+    joint: dict[str, JointFaults] = Field(default_factory=dict)  # faults, by joint
     push: tuple[PushConfig, ...] = ()
     inject: tuple[InjectionConfig, ...] = ()
     limits: VerdictConfig = VerdictConfig()
@@ -215,7 +216,36 @@ def _inconsistencies(scenario: Scenario) -> Iterator[str]:
     ):
         if value <= 0:
             yield f"{key} = {value:g} s: expected more than 0 s"
+    yield from _wrong_laws(firmware, robot)
     yield from _wrong_faults(scenario, robot)
+
+
+def notes(scenario: Scenario) -> list[str]:
+    """A sentence for each condition of its torque loop that a drive's gains do not meet: a run may want that."""
+    from joint_firmware.laws import doubts
+
+    joints = description.load(scenario.robot).joints
+    return [note for joint in joints for note in doubts(joint, scenario.firmware.of_joint(joint.name))]
+
+
+def _wrong_laws(firmware: FirmwareConfig, robot: description.Robot) -> Iterator[str]:
+    """Gains of joints that there are not, filters faster than the interrupt, torque loops that cannot be stable."""
+    from joint_firmware.laws import doubts  # casadi takes its time
+
+    for name in firmware.joints:
+        if name not in robot.joint_names:
+            known = schema.nearest(name, robot.joint_names, "firmware.joints")
+            yield f"unknown key {f'firmware.joints.{name}'!r}{known}"
+    for key in ("torque_rate_cutoff", "observer_cutoff"):
+        cutoff = getattr(firmware, key)
+        if 2.0 * cutoff >= firmware.rate:
+            yield f"firmware.{key} = {cutoff:g} Hz: expected less than half of firmware.rate ({firmware.rate:g} Hz)"
+            return
+    for joint in robot.joints:
+        try:
+            doubts(joint, firmware.of_joint(joint.name))
+        except ValueError as error:
+            yield str(error)
 
 
 def _wrong_faults(scenario: Scenario, robot: description.Robot) -> Iterator[str]:
@@ -224,6 +254,9 @@ def _wrong_faults(scenario: Scenario, robot: description.Robot) -> Iterator[str]
 
     known = injectable(robot)
     keys = list(known)
+    for name in scenario.joint:
+        if name not in robot.joint_names:
+            yield f"unknown key {f'joint.{name}'!r}{schema.nearest(name, robot.joint_names, 'joint')}"
     for bus in robot.buses:
         for name, faults in scenario.bus.get(bus.name, BusConfig()).node.items():
             path = f"bus.{bus.name}.node"

@@ -132,7 +132,7 @@ class System:
         self._monitor_ns = _MONITOR_NS
         self._inboxes: list[list[Frame]] = [[] for _ in range(self._joint_count)]
         self._arrived: list[tuple[int, int, int, bytes]] = []
-        self.faults = Faults(scenario, robot, self.wires, self._place, streams, lambda: self._isr)
+        self.faults = Faults(scenario, robot, self.wires, self._place, world.faults, streams, lambda: self._isr)
         self._senders = self.faults.senders
         links = {"link.state": self.state_link, "link.command": self.command_link}
         self.injector = Injector(scenario, robot, self.faults.setters(links), self.journal)
@@ -194,6 +194,8 @@ class System:
             for _, item in self.command_link.pop_due(now):
                 with contextlib.suppress(messages.MalformedMessageError):  # the gateway has counted it
                     bus, frame = self.gateway.from_link(item)
+                    if self.faults.commands:
+                        frame = self.faults.commands.apply(bus, frame)
                     self.wires[bus].offer(now, GATEWAY_PORT, frame)
         if now == self._isr_ns:
             self.clock.wait_until(now)

@@ -8,9 +8,9 @@ from __future__ import annotations
 from typing import Any, Protocol
 
 from bus import messages
+from bus.drive_faults import EMERGENCIES, DriveFault
 from bus.frames import Frame
 from bus.messages import NmtCommand, NmtState
-from joint_firmware import protection
 from joint_firmware.object_dictionary import AbortCode, ObjectDictionary, SdoAbort
 from joint_firmware.objects import HISTORY
 from joint_firmware.sdo import NEVER, SdoServer
@@ -149,9 +149,10 @@ class Communication:
             sent.append(self._answer._replace(data=self._sdo.expire()))
         self._plan()
 
-    def emergency(self, code: int, sent: list[Frame]) -> None:
-        """Note an error (or NO_ERROR, when the last one is gone) and tell it, as soon as the node may."""
-        self.error_register = protection.register(code)
+    def emergency(self, fault: DriveFault, sent: list[Frame]) -> None:
+        """Note a fault (or NONE, when the last one is gone) and tell it, as soon as the node may."""
+        code = EMERGENCIES[fault].code
+        self.error_register = EMERGENCIES[fault].registers
         if code:
             self._history.insert(0, code)
             del self._history[HISTORY:]
@@ -161,7 +162,7 @@ class Communication:
     def _catch_up(self, sent: list[Frame]) -> None:
         if self._untold and self.state not in (NmtState.INITIALISING, NmtState.STOPPED):
             self._untold = False
-            code = self._history[0] if self.error_register and self._history else protection.NO_ERROR
+            code = self._history[0] if self.error_register and self._history else EMERGENCIES[DriveFault.NONE].code
             sent.append(Frame(self._emergency_id, messages.encode_emergency(code, self.error_register)))
 
     # --- services -------------------------------------------------------------------------------------------

@@ -10,9 +10,10 @@ import casadi as ca
 import numpy as np
 
 from bus import messages
+from bus.drive_faults import EMERGENCIES, DriveFault
 from bus.frames import Frame
 from bus.messages import GainSet, Mode
-from joint_firmware import protection, registers
+from joint_firmware import registers
 from joint_firmware.communication import Communication
 from joint_firmware.config import FirmwareConfig, Settings
 from joint_firmware.drive import POWERED, DriveState, transition
@@ -21,17 +22,20 @@ from joint_firmware.laws import signals as law
 from joint_firmware.memory import LawMemory
 from joint_firmware.object_dictionary import AbortCode, SdoAbort
 from joint_firmware.objects import drive_dictionary
+from joint_firmware.protection import BRAKING_MASK, REACTIONS, Reaction, first
 from joint_firmware.sdo import NEVER
+from joint_firmware.setpoints import MODES, Setpoints, weights
 from robots import pins
 from robots.description import Robot
 
 _STATE = struct.Struct("<" + messages.STATE_LAYOUT)  # filled with the integers that the law computed
-_SLOT = struct.Struct("<" + messages.SLOT_LAYOUT)
 _U16 = 0xFFFF
+_SENSELESS = 3  # command frames in a row that are not acted upon; then the drive does not wait for the watchdog
 _ENABLED = DriveState.OPERATION_ENABLED  # a member of an Enum is slow to look up
+# so is a constant of another module
+_Y_DEMAND, _Y_TRIPS = law.Y_DEMAND, law.Y_TRIPS
+_DEMAND_PIN, _ENABLE_PIN = pins.CURRENT_DEMAND, pins.ENABLE
 _STOPPING = (DriveState.QUICK_STOP_ACTIVE, DriveState.FAULT_REACTION_ACTIVE)
-_NO_LIMIT = 1e9  # N m: the set-point's own limit where none comes with it
-_MODES = frozenset({Mode.NONE, Mode.TORQUE, Mode.POSITION, Mode.DAMPING})
 
 
 def _identity(function: ca.Function) -> ca.Function:
@@ -58,24 +62,22 @@ class JointFirmware:
         joint = robot.joints[joint_index]
         bus = next(bus for bus in robot.buses if joint.name in bus.joints)
         self.name, self.node_id = joint.name, joint.node_id
-        self._slot_offset = 4 + _SLOT.size * bus.joints.index(joint.name)
         self._state_id = messages.STATE + joint.node_id
+        config = config.of_joint(joint.name)
         rate = config.rate
         if rate % config.report_rate:
             slow = config.report_rate
             raise ValueError(f"rate ({rate:g} Hz) must be a multiple of report_rate ({slow:g} Hz)")
         self._ticks_per_report = round(rate / config.report_rate)
         self._quick_stop_ticks = round(config.quick_stop_time * rate)
-        self._low = joint.limits[0] - protection.POSITION_MARGIN
-        self._high = joint.limits[1] + protection.POSITION_MARGIN
-        self._torque_fault = protection.TORQUE_FACTOR * config.torque_limit
         self._defaults = Settings(config, joint)
 
         self.law = drive_law(joint, config)
-        self._started, self._theta = map(self.law.states.index, ("started", "theta"))
+        self._started = self.law.states.index("started")
         self._law = memory = LawMemory(self.law, compile)
-        self._evaluate, self._x, self._x_next = memory.evaluate, memory.x_array, memory.x_next_array
-        self._counts, self.x, self.u, self.y = memory.counts, memory.x, memory.u, memory.y
+        self._evaluate, self._counts, self._x_next = memory.evaluate, memory.counts_array, memory.x_next
+        self.x, self.u, self.y = memory.x, memory.u, memory.y
+        self._setpoints = Setpoints(memory.u_array, bus.joints.index(joint.name))
 
         self.ticks = 0  # done; a timer that runs on through a reset, by which samples are numbered
         self._sent: list[Frame] = []  # what the tick under way has to send
@@ -97,8 +99,9 @@ class JointFirmware:
         self._command_counter: int | None = None  # None: no command frame is in force
         self._command_tick = NEVER
         self._stop_tick = 0
-        self.error = 0
+        self.fault = DriveFault.NONE
         self._malformed = 0
+        self._senseless = 0  # command frames in a row that were not acted upon
         self.configure(**self._defaults._asdict())
 
     def configure(self, **changes: Any) -> None:
@@ -107,22 +110,18 @@ class JointFirmware:
         self.settings = settings = previous._replace(**changes)
         config = settings.config
         self._watchdog_ticks = max(round(config.watchdog * config.rate), 1)
-        gains = {GainSet.STANCE: config.stance, GainSet.SWING: config.swing}
-        self._gains = {index: (g.kp, g.ki, g.kd) for index, g in gains.items()}
         offsets = Offsets(settings.motor_offset, settings.spring_offset)
-        self._law.p_array[:] = self.law.values(settings.joint, config, offsets)
+        self._law.p_array[:] = values = self.law.values(settings.joint, config, offsets)
+        self._setpoints.configure(config, dict(zip(self.law.parameters, values.tolist(), strict=True)))
         if (settings.joint.sensor, settings[2:4]) != (previous.joint.sensor, previous[2:4]):
             self.x[self._started] = 0.0  # a step of the calibration is no motion
         if self._command_counter is None:
             self.gain_set = settings.gain_set
-        self._use_gains()
-
-    def _use_gains(self) -> None:
-        u = self.u
-        u[law.U_KP], u[law.U_KI], u[law.U_KD] = self._gains.get(self.gain_set, self._gains[GainSet.STANCE])
+        self._setpoints.use_gains(self.gain_set)
 
     def attach(self, pins_in: np.ndarray, pins_out: np.ndarray) -> None:
         """Connect the pins: int32, ``robots.pins.N_INPUTS`` and ``N_OUTPUTS``."""
+        self._pins = pins_in
         self._in = memoryview(pins_in)  # type: ignore[arg-type]  # numpy's stubs have no buffer before 3.12
         self._out = memoryview(pins_out)  # type: ignore[arg-type]
 
@@ -133,6 +132,17 @@ class JointFirmware:
     @property
     def powered(self) -> bool:
         return self._drive in POWERED
+
+    @property
+    def error(self) -> int:
+        """Error code of the fault in force (CiA 402, 0x603F)."""
+        return EMERGENCIES[self.fault].code
+
+    def levels(self) -> list[float]:
+        """What share of its limit each of the drive's faults uses, from number 1 on; 0 where nothing measures it."""
+        memory = self._law
+        levels = self.law.levels(self._counts, memory.x_array, memory.u_array, memory.p_array)
+        return [float(level) for level in levels.full().ravel()]
 
     @property
     def counter(self) -> int:
@@ -160,22 +170,18 @@ class JointFirmware:
             else:
                 self._sent = sent
                 self._communication.receive(frame, tick, sent)
-        inputs, counts, y = self._in, self._counts, self.y
-        counts[0] = inputs[pins.MOTOR_ENCODER]
-        counts[1] = inputs[pins.SPRING_ENCODER]
-        counts[2] = inputs[pins.CURRENT_ADC]
-        self._evaluate()
-        self._x[:] = self._x_next
-        silent = tick - self._command_tick >= self._watchdog_ticks
-        if silent or self._drive is not _ENABLED:
+        if self._drive is not _ENABLED or tick - self._command_tick >= self._watchdog_ticks:
             self._supervise(tick, sent)
-        elif abs(y[law.Y_TORQUE_SI]) > self._torque_fault:
-            self._fault(protection.OVER_TORQUE, sent)
-        elif not self._low <= y[law.Y_POSITION_SI] <= self._high:
-            self._fault(protection.POSITION_LIMIT, sent)
-        powered = self._drive in POWERED
-        self._out[pins.CURRENT_DEMAND] = int(y[law.Y_DEMAND]) if powered else 0
-        self._out[pins.ENABLE] = 1 if powered else 0
+        y, out = self.y, self._out
+        self._counts[:] = self._pins
+        self._evaluate()
+        self.x[:] = self._x_next
+        if y[_Y_TRIPS]:
+            self._protect(int(y[_Y_TRIPS]), sent)
+        if self._drive in POWERED:
+            out[_DEMAND_PIN], out[_ENABLE_PIN] = int(y[_Y_DEMAND]), 1
+        else:
+            out[_DEMAND_PIN] = out[_ENABLE_PIN] = 0
         communication = self._communication
         if tick % self._ticks_per_report == 0 and communication.reporting:
             sent.append(Frame(self._state_id, self.report(tick)))
@@ -200,19 +206,25 @@ class JointFirmware:
             silent = self.ticks - self._command_tick >= self._watchdog_ticks
             if not silent or self._drive is _ENABLED:
                 return  # a repeated frame must not feed the watchdog
+        setpoints = self._setpoints
+        order = setpoints.read(data)
+        if not setpoints.sensible(order):
+            self._disregard(sent)
+            return
+        self._senseless = 0
         self._command_counter = counter
         self._command_tick = self.ticks
-        slot = _SLOT.unpack_from(data, self._slot_offset)
-        controlword, self.mode, self.gain_set, torque, position, velocity, limit, _ = slot
-        u = self.u
-        u[law.U_TORQUE] = torque * messages.NEWTON_METRE
-        u[law.U_POSITION] = position * messages.RADIAN
-        u[law.U_VELOCITY] = velocity * messages.RADIAN_PER_SECOND
-        u[law.U_LIMIT] = limit * messages.TORQUE_LIMIT
-        u[law.U_KP], u[law.U_KI], u[law.U_KD] = self._gains.get(self.gain_set, self._gains[GainSet.STANCE])
+        controlword, self.mode, self.gain_set = order[:3]
         if controlword != self.controlword or self._drive is not _ENABLED:
             self._switch(controlword, sent)
-        self._apply_mode(self.mode)
+        setpoints.follow(order, weights(self.mode, self._drive is _ENABLED, self._drive in _STOPPING))
+
+    def _disregard(self, sent: list[Frame]) -> None:
+        """A set-point makes no sense: neither acted upon nor taken for a sign of life, but not borne for long."""
+        self._malformed += 1
+        self._senseless += 1
+        if self._senseless >= _SENSELESS:
+            self._protect(1 << DriveFault.COMMAND, sent)
 
     def _switch(self, controlword: int, sent: list[Frame]) -> None:
         """Act on a controlword, from whichever source."""
@@ -220,9 +232,11 @@ class JointFirmware:
         if entered == DriveState.QUICK_STOP_ACTIVE and self._drive != entered:
             self._stop_tick = self.ticks
         if self._drive == DriveState.FAULT and entered != DriveState.FAULT:
-            self.error = protection.NO_ERROR
-            self._communication.emergency(protection.NO_ERROR, sent)
-        elif self.error and self._drive == DriveState.QUICK_STOP_ACTIVE and entered != self._drive:
+            if self.y[_Y_TRIPS]:
+                entered = DriveState.FAULT  # a cause is still there
+            else:
+                self._note(DriveFault.NONE, sent)
+        elif self.fault and self._drive == DriveState.QUICK_STOP_ACTIVE and entered != self._drive:
             entered = DriveState.FAULT  # a stop for cause ends in fault, also when it is cut short
         self._drive = entered
         self.controlword = controlword
@@ -240,7 +254,7 @@ class JointFirmware:
 
     def set_mode(self, value: float) -> None:
         """Change the mode of operation. Raises SdoAbort for an unknown one, and while the command frame is in force."""
-        if value not in _MODES:
+        if value not in MODES:
             raise SdoAbort(AbortCode.VALUE)
         self._take_command()
         if value != self.mode:
@@ -251,10 +265,7 @@ class JointFirmware:
     def set_target(self, torque: float | None = None, position: float | None = None) -> None:
         """Change a set-point [N m, rad]. Raises SdoAbort while the command frame is in force."""
         self._take_command()
-        if torque is not None:
-            self.u[law.U_TORQUE] = torque
-        if position is not None:
-            self.u[law.U_POSITION] = position
+        self._setpoints.target(torque, position)
 
     def _take_command(self) -> None:
         if self._command_counter is None:
@@ -269,48 +280,59 @@ class JointFirmware:
 
     def _rest(self) -> None:
         """Set-points that move nothing: no old one may act when a drive is enabled or its mode changes."""
-        u = self.u
-        u[law.U_TORQUE] = u[law.U_VELOCITY] = 0.0
-        u[law.U_POSITION] = self.x[self._theta]  # the motor's, which the spring's torque does not move
-        u[law.U_LIMIT] = _NO_LIMIT
         self.gain_set = self.settings.gain_set
-        self._use_gains()
+        # the motor's, which the spring's torque does not move, unless the joint's own is fed back
+        of_joint = self.mode in (Mode.JOINT_POSITION, Mode.IMPEDANCE)
+        self._setpoints.rest(self.y[law.Y_POSITION_SI if of_joint else law.Y_RELAXED_SI], self.gain_set)
 
     # --- states -----------------------------------------------------------------------------------------------
 
     def _apply_mode(self, mode: int) -> None:
-        """Weights of the law: the drive's state decides first what runs, the commanded mode second."""
-        u = self.u
-        enabled = self._drive is _ENABLED
-        u[law.U_TORQUE_MODE] = float(enabled and mode == Mode.TORQUE)
-        u[law.U_POSITION_MODE] = float(enabled and mode == Mode.POSITION)
-        stopping = self._drive in _STOPPING
-        u[law.U_DAMPING_MODE] = float(stopping or (enabled and mode == Mode.DAMPING))
+        self._setpoints.weigh(weights(mode, self._drive is _ENABLED, self._drive in _STOPPING))
 
     def _supervise(self, tick: int, sent: list[Frame]) -> None:
-        """Everything but normal operation: watchdog, the end of a quick stop."""
-        if self._drive is _ENABLED:
+        """Everything but normal operation: watchdog, the end of a stop."""
+        drive = self._drive
+        if drive is _ENABLED:
             self.stop(sent)
-        elif self._drive == DriveState.QUICK_STOP_ACTIVE and tick - self._stop_tick >= self._quick_stop_ticks:
+        elif drive in _STOPPING and tick - self._stop_tick >= self._quick_stop_ticks:
             # a commanded stop ends switched off; a stop for cause ends in fault
-            self._drive = DriveState.FAULT if self.error else DriveState.SWITCH_ON_DISABLED
+            self._drive = DriveState.FAULT if self.fault else DriveState.SWITCH_ON_DISABLED
             self._apply_mode(Mode.NONE)
 
     def stop(self, sent: list[Frame]) -> None:
         """The master is lost, or has stopped the node: an enabled drive makes a quick stop, for cause."""
         if self._drive is _ENABLED:
-            self.error = protection.WATCHDOG
-            self._communication.emergency(protection.WATCHDOG, sent)
-            self._drive = DriveState.QUICK_STOP_ACTIVE
-            self._stop_tick = self.ticks
-            self._apply_mode(Mode.DAMPING)
+            self._brake(DriveFault.WATCHDOG, DriveState.QUICK_STOP_ACTIVE, sent)
 
-    def _fault(self, code: int, sent: list[Frame]) -> None:
-        """Power off at once and say why."""
-        self.error = code
+    def _protect(self, trips: int, sent: list[Frame]) -> None:
+        """React to what has tripped, if there is power; while braking, only to what braking itself relies on."""
+        braking = self._drive in _STOPPING
+        if braking:
+            trips &= BRAKING_MASK
+        if not trips or self._drive not in POWERED:
+            return
+        fault = first(trips)
+        if braking or REACTIONS[fault] is Reaction.POWER_OFF:
+            self._power_off(fault, sent)
+        else:
+            self._brake(fault, DriveState.FAULT_REACTION_ACTIVE, sent)
+
+    def _brake(self, fault: DriveFault, state: DriveState, sent: list[Frame]) -> None:
+        self._note(fault, sent)
+        self._drive = state
+        self._stop_tick = self.ticks
+        self._apply_mode(Mode.DAMPING)
+
+    def _power_off(self, fault: DriveFault, sent: list[Frame]) -> None:
+        self._note(fault, sent)
         self._drive = DriveState.FAULT
         self._apply_mode(Mode.NONE)
-        self._communication.emergency(code, sent)
+
+    def _note(self, fault: DriveFault, sent: list[Frame]) -> None:
+        """Take ``fault`` for the one in force (NONE: it is gone) and tell it."""
+        self.fault = fault
+        self._communication.emergency(fault, sent)
 
     def booted(self) -> None:
         """The node is on the bus: the drive may be switched on."""
@@ -335,7 +357,7 @@ class JointFirmware:
             int(y[law.Y_CURRENT]),
             int(y[law.Y_MOTOR_VELOCITY]),
             self._command_counter or 0,
-            self.error & 0xFF,
+            self.fault,
             min(max(temperature, 0), 255),
         )
 
@@ -343,7 +365,7 @@ class JointFirmware:
 
     _PLAIN = (
         "ticks", "_drive", "controlword", "mode", "gain_set", "_command_counter", "_command_tick", "_stop_tick",
-        "error", "_malformed",
+        "fault", "_malformed", "_senseless",
     )  # fmt: skip
 
     def snapshot(self) -> dict[str, Any]:

@@ -38,7 +38,7 @@ class LawMemory:
             self._buffer.set_arg(index, _view(array))  # type: ignore[call-arg, arg-type]
         for index, array in enumerate((self.x_next_array, self.y_array)):
             self._buffer.set_res(index, _view(array))  # type: ignore[call-arg, arg-type]
-        self.counts, self.x = _view(self.counts_array), _view(self.x_array)
+        self.x, self.x_next = _view(self.x_array), _view(self.x_next_array)
         self.u, self.y = _view(self.u_array), _view(self.y_array)
 
     def clear(self) -> None:

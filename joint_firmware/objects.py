@@ -10,8 +10,11 @@ from __future__ import annotations
 import struct
 from collections.abc import Iterator
 
+import annotated_types
+
 from bus import messages
-from bus.messages import GainSet, Setpoint, State
+from bus.drive_faults import DriveFault
+from bus.messages import GainSet, Mode, Setpoint, State
 from joint_firmware.config import FirmwareConfig, TorqueGains
 from joint_firmware.object_dictionary import (
     DataType,
@@ -23,6 +26,7 @@ from joint_firmware.object_dictionary import (
     record,
     variable,
 )
+from joint_firmware.protection_config import ProtectionConfig
 from robots.description import Joint, Robot
 
 HISTORY = 8  # errors that 0x1003 remembers
@@ -49,6 +53,7 @@ def rated_current(joint: Joint) -> float:
 
 def drive_dictionary(robot: Robot, joint: Joint, config: FirmwareConfig) -> ObjectDictionary:
     """The dictionary of ``joint``'s drive; what is not a constant nobody answers for yet."""
+    config = config.of_joint(joint.name)
     slot = next(bus.joints.index(joint.name) for bus in robot.buses if joint.name in bus.joints)
     objects = [*_communication(robot.name, joint, slot, config), *_own(joint, config), *_device(joint, config)]
     return ObjectDictionary(objects, joint.node_id)
@@ -147,22 +152,59 @@ def _gains(index: int, name: str, gains: TorqueGains) -> Object:
     ])  # fmt: skip
 
 
+def _supported_modes() -> int:
+    """0x6502: bit n − 1 is mode n of CiA 402, bit 15 + n the manufacturer's mode −n."""
+    numbers = [number for name, number in vars(Mode).items() if name.isupper() and number != Mode.NONE]
+    return sum(1 << (n - 1 if n > 0 else 15 - n) for n in numbers)
+
+
 def _scale(name: str, counts_per_rad: float) -> Variable:
     """A calibrated scale: within a factor of two, and never with the other sign, which would turn the loop over."""
     low, high = sorted((0.5 * counts_per_rad, 2.0 * counts_per_rad))
     return Variable(name, _F32, "rw", counts_per_rad, low, high, "1/rad")
 
 
+def protection_limits() -> list[str]:
+    """Fields of ``ProtectionConfig`` in the order of the sub-indices of 0x2040."""
+    return list(ProtectionConfig.model_fields)
+
+
+def _limits(config: ProtectionConfig) -> list[Variable]:
+    limits = []
+    for name, field in ProtectionConfig.model_fields.items():
+        low = next(m.ge for m in field.metadata if isinstance(m, annotated_types.Ge))
+        high = next(m.le for m in field.metadata if isinstance(m, annotated_types.Le))
+        extra = field.json_schema_extra if isinstance(field.json_schema_extra, dict) else {}
+        text = name.replace("_", " ").capitalize()
+        limits.append(_parameter(text, getattr(config, name), low, high, str(extra.get("unit", ""))))  # type: ignore[arg-type]
+    return limits
+
+
 def _own(joint: Joint, config: FirmwareConfig) -> Iterator[Object]:
     yield _gains(0x2000, "Torque gains, stance", config.stance)
     yield _gains(0x2001, "Torque gains, swing", config.swing)
     yield variable(0x2002, Variable("Gain set without PDO", _U8, "rw", GainSet.STANCE, 0, 1))
+    yield record(0x2003, "Control law", [
+        _constant("Torque loop", _TEXT, config.law),
+        _constant("Velocity estimator", _TEXT, config.velocity_estimator),
+    ])  # fmt: skip
     yield variable(0x2010, _parameter("Command watchdog", config.watchdog, 1e-3, 1.0, "s"))
     yield variable(0x2011, _parameter("Torque rate limit", config.torque_rate, 1.0, 1e6, "N m/s"))
     yield variable(0x2012, _parameter("Soft stop stiffness", config.soft_stop_stiffness, 0.0, 1e4, "N m/rad"))
     yield variable(0x2013, _parameter("Quick stop damping", config.quick_stop_damping, 0.0, 1e3, "N m s/rad"))
     yield variable(0x2014, _parameter("Position stiffness", config.position_stiffness, 0.0, 1e4, "N m/rad"))
     yield variable(0x2015, _parameter("Position damping", config.position_damping, 0.0, 1e3, "N m s/rad"))
+    yield variable(0x2016, _parameter("Joint stiffness", config.joint_stiffness, 0.0, 1e4, "N m/rad"))
+    yield variable(0x2017, _parameter("Joint damping", config.joint_damping, 0.0, 1e3, "N m s/rad"))
+    yield variable(0x2018, _parameter("Impedance stiffness", config.impedance_stiffness, 0.0, 1e4, "N m/rad"))
+    yield variable(0x2019, _parameter("Impedance damping", config.impedance_damping, 0.0, 1e3, "N m s/rad"))
+    fastest = 0.4 * config.rate
+    yield variable(0x201A, _parameter("Torque rate cutoff", config.torque_rate_cutoff, 0.1, fastest, "Hz"))
+    yield variable(0x201B, _parameter("Observer cutoff", config.observer_cutoff, 0.1, fastest, "Hz"))
+    yield variable(0x201C, _parameter("Velocity integral", config.velocity_integral, 0.0, 1e4, "1/s"))
+    yield variable(0x201D, _parameter("Velocity compensation", config.velocity_compensation, 0.0, 1.0))
+    bias = joint.actuator.current_limit
+    yield variable(0x201E, _parameter("Valve bias", config.valve_bias, -bias, bias, "A"))
     yield record(0x2020, "Calibration", [
         _scale("Motor encoder scale", joint.sensor.encoder),
         _parameter("Motor encoder offset", 0.0, -1.0, 1.0, "rad"),
@@ -171,6 +213,11 @@ def _own(joint: Joint, config: FirmwareConfig) -> Iterator[Object]:
         Variable("Spring stiffness", _F32, "ro", joint.actuator.stiffness, unit="N m/rad"),
     ])  # fmt: skip
     yield record(0x2030, "Interrupt counters", [Variable("Ticks", _U32), Variable("Malformed frames", _U32)])
+    yield record(0x2040, "Protection limits", _limits(config.protection))
+    yield record(0x2041, "Protection levels", [
+        Variable(fault.name.replace("_", " ").capitalize(), _F32) for fault in DriveFault if fault
+    ])  # fmt: skip
+    yield record(0x2042, "Protection state", [Variable("Trip word", _U32), Variable("Fault", _U8)])
     yield record(0x2100, "State", _fields(State._fields, messages.STATE_LAYOUT))
     yield record(0x2200, "Command in force", _fields(COMMAND_FIELDS, _COMMAND_LAYOUT))
 
@@ -183,7 +230,7 @@ def _device(joint: Joint, config: FirmwareConfig) -> Iterator[Object]:
     yield variable(0x6040, Variable("Controlword", _U16, "rw"))
     yield variable(0x6041, Variable("Statusword", _U16, mappable=True))
     yield variable(0x605A, _constant("Quick stop option code", _I16, -1))  # own: motor damping, then switched off
-    yield variable(0x605E, _constant("Fault reaction option code", _I16, 0))  # power off at once
+    yield variable(0x605E, _constant("Fault reaction option code", _I16, -1))  # own: by fault
     yield variable(0x6060, Variable("Modes of operation", _I8, "rw"))
     yield variable(0x6061, Variable("Modes of operation display", _I8, mappable=True))
     yield variable(0x6064, Variable("Position actual value", _I32, mappable=True, **position))  # type: ignore[arg-type]
@@ -205,4 +252,4 @@ def _device(joint: Joint, config: FirmwareConfig) -> Iterator[Object]:
         Variable("Min position limit", _I32, "rw", low, low, high, **position),  # type: ignore[arg-type]
         Variable("Max position limit", _I32, "rw", high, low, high, **position),  # type: ignore[arg-type]
     ], ObjectType.ARRAY)  # fmt: skip
-    yield variable(0x6502, _constant("Supported drive modes", _U32, 1 << 16 | 1 << 9 | 1 << 7))  # own damping, cst, csp
+    yield variable(0x6502, _constant("Supported drive modes", _U32, _supported_modes()))

@@ -7,8 +7,11 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 from bus import messages
+from bus.drive_faults import DriveFault
 from joint_firmware import objects
+from joint_firmware.config import FirmwareConfig
 from joint_firmware.eds import eds
+from joint_firmware.laws import doubts
 from joint_firmware.laws import signals as law
 from joint_firmware.object_dictionary import AbortCode, ObjectDictionary, SdoAbort
 from robots import pins
@@ -35,6 +38,7 @@ def connect(dictionary: ObjectDictionary, drive: JointFirmware) -> None:
     dictionary.connect(0x1021, 0, data_sheet)
     dictionary.connect(0x2030, 1, lambda: drive.ticks & _COUNTER)
     dictionary.connect(0x2030, 2, lambda: drive.malformed & _COUNTER)
+    _protection(dictionary, drive)
     for n in range(len(messages.STATE_LAYOUT)):
         dictionary.connect(0x2100, n + 1, lambda n=n: _state(drive)[n])  # type: ignore[misc]
     for n, field in enumerate(objects.COMMAND_FIELDS, start=1):
@@ -102,20 +106,47 @@ def _device(dictionary: ObjectDictionary, drive: JointFirmware) -> None:
         )  # fmt: skip
 
 
+def _protection(dictionary: ObjectDictionary, drive: JointFirmware) -> None:
+    """Limits of the monitors, how much of them is used, and what has tripped."""
+
+    def limit(sub: int, name: str) -> None:
+        def write(value: float) -> None:
+            config = drive.settings.config
+            limits = config.protection.model_copy(update={name: value})
+            drive.configure(config=config.model_copy(update={"protection": limits}))
+
+        dictionary.connect(0x2040, sub, lambda: getattr(drive.settings.config.protection, name), write)
+
+    for sub, name in enumerate(objects.protection_limits(), start=1):
+        limit(sub, name)
+    for fault in DriveFault:
+        if fault:
+            dictionary.connect(0x2041, fault, lambda fault=fault: drive.levels()[fault - 1])  # type: ignore[misc]
+    dictionary.connect(0x2042, 1, lambda: int(drive.y[law.Y_TRIPS]))
+    dictionary.connect(0x2042, 2, lambda: drive.fault)
+
+
 def _parameters(dictionary: ObjectDictionary, drive: JointFirmware) -> None:
     """The drive's own parameters: each is a value of its settings."""
+
+    def accept(config: FirmwareConfig) -> None:
+        try:
+            doubts(drive.settings.joint, config)
+        except ValueError:  # unstable
+            raise SdoAbort(AbortCode.VALUE) from None
+        drive.configure(config=config)
 
     def gain(index: int, sub: int, which: str, name: str) -> None:
         def write(value: float) -> None:
             config = drive.settings.config
             gains = getattr(config, which).model_copy(update={name: value})
-            drive.configure(config=config.model_copy(update={which: gains}))
+            accept(config.model_copy(update={which: gains}))
 
         dictionary.connect(index, sub, lambda: getattr(getattr(drive.settings.config, which), name), write)
 
     def parameter(index: int, name: str) -> None:
         def write(value: float) -> None:
-            drive.configure(config=drive.settings.config.model_copy(update={name: value}))
+            accept(drive.settings.config.model_copy(update={name: value}))
 
         dictionary.connect(index, 0, lambda: getattr(drive.settings.config, name), write)
 
@@ -137,7 +168,9 @@ def _parameters(dictionary: ObjectDictionary, drive: JointFirmware) -> None:
     dictionary.connect(0x2002, 0, lambda: drive.settings.gain_set, lambda v: drive.configure(gain_set=int(v)))
     for index, name in enumerate(
         ("watchdog", "torque_rate", "soft_stop_stiffness", "quick_stop_damping", "position_stiffness",
-         "position_damping"), start=0x2010,
+         "position_damping", "joint_stiffness", "joint_damping", "impedance_stiffness", "impedance_damping",
+         "torque_rate_cutoff", "observer_cutoff", "velocity_integral", "velocity_compensation", "valve_bias"),
+        start=0x2010,
     ):  # fmt: skip
         parameter(index, name)
     calibration(1, lambda: drive.settings.joint.sensor.encoder, lambda v: sensor(encoder=v))

@@ -11,6 +11,7 @@ import numpy as np
 
 from plant.actuators.bank import ActuatorBank
 from plant.config import SensorConfig
+from plant.joint_faults import FaultyJoints
 from plant.sensors import JointSensors
 from robots import pins
 from robots.description import Joint, Robot
@@ -106,6 +107,7 @@ class Bench:
         self._q, self._dq = np.array([load.at]), np.zeros(1)
         self.actuator = ActuatorBank(alone, self._dt, friction_scale, compile, self._q, self._dq)
         self._sensors = JointSensors(alone, sensors, streams, compile, self.actuator)
+        self.faults = FaultyJoints(alone, self.actuator, streams)
         self._ampere_per_count = joint.actuator.ampere_per_count
         self._inputs = np.zeros((1, pins.N_INPUTS), np.int32)
         self._outputs = np.zeros((1, pins.N_OUTPUTS), np.int32)
@@ -129,6 +131,8 @@ class Bench:
     def sample(self) -> None:
         """Write the drive's input pins from the present state."""
         self._sensors.write(self._inputs, ())
+        if self.faults.on_pins:
+            self.faults.apply(self._inputs)
 
     def latch(self) -> None:
         """Let the drive's output pins take effect from now on."""
@@ -150,6 +154,7 @@ class Bench:
             "load": (self._q.copy(), self._dq.copy()),
             "actuator": self.actuator.snapshot(),
             "sensors": self._sensors.snapshot(),
+            "faults": self.faults.snapshot(),
             "pins": (self._inputs.copy(), self._outputs.copy()),
         }
 
@@ -157,4 +162,5 @@ class Bench:
         self._q[:], self._dq[:] = state["load"]
         self.actuator.restore(state["actuator"])
         self._sensors.restore(state["sensors"])
+        self.faults.restore(state["faults"])
         self._inputs[:], self._outputs[:] = state["pins"]

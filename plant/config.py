@@ -10,6 +10,7 @@ from robots.quantities import (
     Config,
     Gain,
     Hertz,
+    Kelvins,
     Kilograms,
     Metres,
     Newtons,
@@ -66,6 +67,41 @@ class PushConfig(Config):
     duration: Seconds  # full force
     ramp: Seconds = 0.0  # on either side of it
     force: tuple[Newtons, Newtons, Newtons]
+
+
+Sensor = Literal["ok", "stuck", "jump", "slip", "noisy", "dead"]
+CurrentSensor = Literal["ok", "stuck", "jump", "noisy", "dead"]
+
+
+class JointFaults(Config):
+    """What is wrong with one joint.
+
+    All can also be injected while a run goes on: their descriptions, units, bounds and defaults are what
+    ``hil inject --list`` shows. A sensor is ``stuck`` at its last reading, has made a ``jump`` (encoders 0.1 rad,
+    current 2.5 times its limit), ``slip`` loses every other count, ``noisy`` is a σ of 5 mrad or of half of the limit,
+    ``dead`` reads 0. All but ``command`` act in the plant.
+    """
+
+    encoder: Sensor = Field(default="ok", description="incremental encoder of the motor")
+    spring_encoder: Sensor = Field(default="ok", description="encoder of the spring's deflection")
+    joint_encoder: Sensor = Field(default="ok", description="absolute encoder of the joint")
+    current_sensor: CurrentSensor = Field(default="ok", description="current that the drive measures")
+    heating: Annotated[Kelvins, Field(ge=-200, le=500)] = Field(
+        default=0.0, description="added to what the winding's temperature sensor says"
+    )
+    supply: Annotated[float, Field(ge=0, le=2)] = Field(default=1.0, description="supply voltage, of the nominal one")
+    spring: Annotated[float, Field(ge=0, le=10)] = Field(
+        default=1.0, description="stiffness and damping of the spring, of its own; 0: broken"
+    )
+    friction: Annotated[float, Field(ge=0, le=100)] = Field(
+        default=1.0, description="dry friction of the actuator, of its own"
+    )
+    isr_time: Annotated[Seconds, Field(ge=0, le=1)] = Field(
+        default=0.0, description="what each interrupt of its drive takes, by the drive's own timer; 0: what it takes"
+    )
+    command: Literal["ok", "not_a_number", "out_of_range"] = Field(
+        default="ok", description="its set-point in the command frames: -2^31 counts, or 100 kN m"
+    )
 
 
 class WorldConfig(Config):

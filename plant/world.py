@@ -13,6 +13,7 @@ import numpy as np
 from plant import stance as stances
 from plant.actuators.bank import ActuatorBank
 from plant.config import PushConfig, SensorConfig, StanceConfig, TerrainConfig, WorldConfig
+from plant.joint_faults import FaultyJoints
 from plant.model import build, initial_qpos
 from plant.sensors import ImuSensor, JointSensors
 from robots import description, pins
@@ -71,6 +72,7 @@ class World:
         self._sensed = self.data.sensordata
         self._actuators = ActuatorBank(robot, self._dt, config.friction_scale, compile, self._q, self._dq)
         self._joint_sensors = JointSensors(robot, sensors, streams, compile, self._actuators)
+        self.faults = FaultyJoints(robot, self._actuators, streams)
         self._imu = ImuSensor(robot.imu, sensors, imu_rate, streams)
         self.pins_in = np.zeros((n, pins.N_INPUTS), np.int32)
         self.pins_out = np.zeros((n, pins.N_OUTPUTS), np.int32)
@@ -100,6 +102,8 @@ class World:
         """Write the drives' input pins from the present state."""
         sensed = self._sensed
         self._joint_sensors.write(self.pins_in, (-sensed[17], -sensed[20]))  # a foot's force on the ground points down
+        if self.faults.on_pins:
+            self.faults.apply(self.pins_in)
 
     def latch(self) -> None:
         """Let the drives' output pins take effect from now on."""
@@ -218,6 +222,7 @@ class World:
             "actuators": self._actuators.snapshot(),
             "joint_sensors": self._joint_sensors.snapshot(),
             "imu": self._imu.snapshot(),
+            "faults": self.faults.snapshot(),
             "pins": (self.pins_in.copy(), self.pins_out.copy()),
         }
 
@@ -229,4 +234,5 @@ class World:
         self._actuators.restore(state["actuators"])
         self._joint_sensors.restore(state["joint_sensors"])
         self._imu.restore(state["imu"])
+        self.faults.restore(state["faults"])
         self.pins_in[:], self.pins_out[:] = state["pins"]

@@ -24,6 +24,7 @@ _PREFIXED = {
     "N": {"N": 1.0, "kN": 1e3},
     "N m": {"N m": 1.0, "Nm": 1.0},
     "A": {"A": 1.0, "mA": 1e-3},
+    "K": {"K": 1.0},
     "V": {"V": 1.0},
     "N m/rad": {"N m/rad": 1.0, "Nm/rad": 1.0},
     "N m s/rad": {"N m s/rad": 1.0, "Nm s/rad": 1.0, "Nms/rad": 1.0},
@@ -82,6 +83,8 @@ KilogramSquareMetres = _quantity("kg m²", gt=0)
 Newtons = _quantity("N")
 NewtonMetres = _quantity("N m", ge=0)
 Amperes = _quantity("A", ge=0)
+Kelvins = _quantity("K")
+SignedAmperes = _quantity("A")
 Volts = _quantity("V", ge=0)
 TorquePerRadian = _quantity("N m/rad", ge=0)
 TorquePerRate = _quantity("N m s/rad", ge=0)

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 from pydantic import Field
 
+from bus.drive_faults import EMERGENCIES, DriveFault
 from bus.messages import Statusword
 from hil.analysis.oscillation import Oscillation
 from robots.quantities import Config, Gain, Metres, Radians, Seconds
@@ -77,7 +78,7 @@ class Monitor:
             if status in (Statusword.FAULT, Statusword.QUICK_STOP_ACTIVE, Statusword.FAULT_REACTION_ACTIVE):
                 name = self._drives[joint].partition(".")[2]
                 what = "quick stop" if status == Statusword.QUICK_STOP_ACTIVE else "fault"
-                return f"drive in {what}: {name}, error code …{int(drives[self._n + joint]):02X}h, at {time:.2f} s"
+                return f"drive in {what}: {name}, {_cause(int(drives[self._n + joint]))}, at {time:.2f} s"
         if controller[self._phase] >= _ON and controller[self._state_age] > limits.drive_silent:
             age, limit = 1e3 * controller[self._state_age], 1e3 * limits.drive_silent
             return f"drive silent: no state of one for {age:.0f} ms (limit {limit:.0f} ms) at {time:.2f} s"
@@ -103,6 +104,17 @@ class Monitor:
             limit = f"(limit {math.degrees(limits.orientation_error):.1f}°)"
             return f"torso tilted by {math.degrees(angle):.1f}° {limit} at {time:.2f} s"
         return None
+
+
+def _cause(number: int) -> str:
+    """The fault that a drive's state tells, with the error code of its emergency."""
+    try:
+        fault = DriveFault(number)
+    except ValueError:
+        return f"fault {number}, which no drive has"
+    if fault is DriveFault.NONE:
+        return "commanded"
+    return f"{fault.name.lower().replace('_', ' ')} ({EMERGENCIES[fault].code:04X}h)"
 
 
 def judge(tables: Mapping[str, Signals], scenario: Scenario, stopped: str | None) -> Verdict:

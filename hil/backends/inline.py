@@ -20,7 +20,7 @@ class InlineJoints:
     """All joint nodes, called one after the other."""
 
     def __init__(self, nodes: Sequence[JointFirmware], pins_in: np.ndarray, pins_out: np.ndarray) -> None:
-        self._nodes = list(nodes)
+        self.nodes = list(nodes)
         for node, inputs, outputs in zip(nodes, pins_in, pins_out, strict=True):
             node.attach(inputs, outputs)
         self._sent: list[list[Frame]] = []
@@ -28,17 +28,17 @@ class InlineJoints:
     def start(self, now_ns: int, inboxes: list[list[Frame]], idle: Sequence[int] = ()) -> None:
         self._sent = [
             [] if idle and joint in idle else node.tick(now_ns, inbox)
-            for joint, (node, inbox) in enumerate(zip(self._nodes, inboxes, strict=True))
+            for joint, (node, inbox) in enumerate(zip(self.nodes, inboxes, strict=True))
         ]
 
     def finish(self) -> list[list[Frame]]:
         return self._sent
 
     def snapshot(self) -> list[Any]:
-        return [node.snapshot() for node in self._nodes]
+        return [node.snapshot() for node in self.nodes]
 
     def restore(self, states: list[Any]) -> None:
-        for node, state in zip(self._nodes, states, strict=True):
+        for node, state in zip(self.nodes, states, strict=True):
             node.restore(state)
 
 

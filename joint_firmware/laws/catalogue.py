@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import casadi as ca
 
+from joint_firmware.laws.cascade import Cascade
+from joint_firmware.laws.disturbance_observer import PDmDOB
+from joint_firmware.laws.pd_f import PDf
 from joint_firmware.laws.pid_m import PDm, PIDm
 from joint_firmware.laws.torque_loop import TorqueLoop, loop_function
+from joint_firmware.laws.valve import Valve
 
-TORQUE_LOOPS: dict[str, TorqueLoop] = {loop.name: loop for loop in (PDm(), PIDm())}
+TORQUE_LOOPS: dict[str, TorqueLoop] = {loop.name: loop for loop in (PDf(), PDm(), PIDm(), PDmDOB(), Cascade(), Valve())}
 
 
 def torque_loop_function(name: str) -> ca.Function:

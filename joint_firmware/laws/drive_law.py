@@ -2,8 +2,8 @@
 
     sensing → monitor → reference → torque loop → saturation and rounding
 
-All quantities are as seen from the joint; sizes are fixed; integers are exact in doubles. A change of gains is
-bumpless: what it would move the motor by is carried on, and fades unless the loop integrates.
+Torque loops work in the actuator's equivalent rotary coordinates, commands and reports are of the joint
+(``robots.actuators``). Sizes are fixed; integers are exact in doubles.
 """
 
 from __future__ import annotations
@@ -19,43 +19,44 @@ from joint_firmware.laws import signals as s
 from joint_firmware.laws.block import Block, Offsets, Symbols, clip, symbols, vector
 from joint_firmware.laws.catalogue import TORQUE_LOOPS
 from joint_firmware.laws.monitor import Monitor
+from joint_firmware.laws.output import Output
 from joint_firmware.laws.reference import Reference
-from joint_firmware.laws.sensing import Sensing
-from joint_firmware.laws.torque_loop import LoopSignals
+from joint_firmware.laws.sensing import Direct, Sensing, ThroughLinkage, has_load_cell
 from robots import pins
 from robots.description import Joint
+from robots.linkage import Linkage
 
 _I32, _I16 = 2**31 - 1, 2**15 - 1
-_FADE_S = 0.1  # time constant
 
 
-class Output(Block):
-    """Around the torque loop: what was in force in the tick before, and the power stage."""
+class Scales(Block):
+    """Between the pins and the power stage."""
 
-    states = ("kp", "ki", "kd", "carry")
-    parameters = ("dt", "torque_per_ampere", "current_limit", "quick_stop_damping")
+    parameters = ("ampere_per_count",)
 
     def values(self, joint: Joint, config: FirmwareConfig, offsets: Offsets) -> dict[str, float]:
-        return {
-            "dt": 1.0 / config.rate,
-            "torque_per_ampere": joint.actuator.torque_per_ampere,
-            "current_limit": joint.actuator.current_limit,
-            "quick_stop_damping": config.quick_stop_damping,
-        }
+        return {"ampere_per_count": joint.actuator.ampere_per_count}
 
 
 class DriveLaw:
-    """The law whose torque loop is ``loop``.
+    """The law with the torque loop ``loop`` and the velocity estimator ``estimator``.
 
     ``function`` is ``(counts, x, u, p) -> (x_next, y)``; counts, u and y as in ``laws.signals``, x and p in the
     order of ``states`` and ``parameters``.
     """
 
-    def __init__(self, loop: str) -> None:
-        self._sensing, self._monitor, self._reference = Sensing(), Monitor(), Reference()
-        self._loop, self._output = TORQUE_LOOPS[loop], Output()
+    def __init__(
+        self,
+        loop: str = "PID_m",
+        estimator: str = "filter",
+        linkage: Linkage | None = None,
+        load_cell: bool = False,
+    ) -> None:
+        self._map = Direct() if linkage is None else ThroughLinkage(linkage)
+        self._sensing, self._monitor = Sensing(estimator, self._map, load_cell), Monitor()
+        self._reference, self._output = Reference(self._map), Output(TORQUE_LOOPS[loop])
         self._blocks: tuple[Block, ...] = (
-            self._sensing, self._monitor, self._reference, self._loop, self._output
+            self._sensing, self._monitor, self._reference, self._output, Scales()
         )  # fmt: skip
         self.states = tuple(name for block in self._blocks for name in block.states)
         self.parameters = tuple(dict.fromkeys(name for block in self._blocks for name in block.parameters))
@@ -71,51 +72,31 @@ class DriveLaw:
         return np.array([values[name] for name in self.parameters])
 
     def _assemble(self) -> ca.Function:
-        counts, u = ca.SX.sym("counts", s.COUNTS_SIZE), ca.SX.sym("u", s.INPUT_SIZE)
+        counts, u_given = ca.SX.sym("counts", s.COUNTS_SIZE), ca.SX.sym("u", s.INPUT_SIZE)
         x, p = symbols(self.states), symbols(self.parameters)
         sensed, sensing_next = self._sensing.sense(counts, x, p)
-        trips, derating, monitor_next = self._monitor.watch(counts, sensed, x, p)
+        u, misled = self._monitor.admit(u_given, p)
+        verdict, monitor_next = self._monitor.watch(counts, u, misled, sensed, x, p)
         wanted, reference_next = self._reference.follow(u, sensed, x, p)
-
-        gains, before = s.Gains(u[s.U_KP], u[s.U_KI], u[s.U_KD]), s.Gains(x.kp, x.ki, x.kd)
-        seen = LoopSignals(wanted.torque, sensed.torque, sensed.motor_velocity, sensed.velocity)
-        linear = self._loop.effort(seen, gains, x, p)
-        bump = ca.if_else(x.active > 0, self._loop.effort(seen, before, x, p) - linear, 0)
-        carry = x.carry + bump
-        effort = linear + carry
-
-        demand = wanted.active * effort - u[s.U_DAMPING_MODE] * p.quick_stop_damping * sensed.motor_velocity
-        limit = p.current_limit * derating
-        current = demand / p.torque_per_ampere
-        saturated = clip(current, -limit, limit)
-        cut = ca.fabs(current) > limit
-        applied = ca.if_else(cut, saturated * p.torque_per_ampere, effort)
-        loop_next = self._loop.update(seen, gains, x, p, effort, applied)
-
-        fading = 1 - self._loop.integrates(gains)
-        running = {**vars(loop_next), **gains._asdict(), "carry": carry * (1 - fading * p.dt / _FADE_S)}
-        x_next = Symbols(
-            **vars(sensing_next), **vars(monitor_next), **vars(reference_next),
-            **{name: wanted.active * value for name, value in running.items()},
-        )  # fmt: skip
+        demand, output_next = self._output.drive(u, sensed, wanted, verdict, x, p)
+        x_next = Symbols(**vars(sensing_next), **vars(monitor_next), **vars(reference_next), **vars(output_next))
         y = ca.vertcat(
             _round(sensed.position / RADIAN, _I32),
             _round(sensed.velocity / RADIAN_PER_SECOND, _I32),
             _round(sensed.torque / NEWTON_METRE, _I32),
-            _round(counts[pins.CURRENT_ADC] * pins.AMPERE_PER_COUNT / AMPERE, _I16),
+            _round(counts[pins.CURRENT_ADC] * p.ampere_per_count / AMPERE, _I16),
             _round(sensed.motor_velocity / MOTOR_RADIAN_PER_SECOND, _I16),
-            _round(saturated / pins.AMPERE_PER_COUNT, _I32),
-            wanted.active * ca.logic_or(wanted.limited, cut),
+            _round(demand.current / p.ampere_per_count, _I32),
+            wanted.active * ca.logic_or(wanted.limited, demand.cut),
             sensed.torque,
             sensed.position,
-            trips,
+            verdict.trips,
+            self._map.to_joint(sensed.motor_position),
         )
-        return ca.Function(
-            "joint_law",
-            [counts, vector(x, self.states), u, vector(p, self.parameters)],
-            [vector(x_next, self.states), y],
-            ["counts", "x", "u", "p"], ["x_next", "y"],
-        )  # fmt: skip
+        arguments = [counts, vector(x, self.states), u_given, vector(p, self.parameters)]
+        names = ["counts", "x", "u", "p"]
+        self.levels = ca.Function("levels", arguments, [verdict.levels], names, ["levels"])
+        return ca.Function("joint_law", arguments, [vector(x_next, self.states), y], names, ["x_next", "y"])
 
 
 def _round(value: ca.SX, limit: int) -> ca.SX:
@@ -123,11 +104,22 @@ def _round(value: ca.SX, limit: int) -> ca.SX:
     return clip(ca.floor(value + 0.5), -limit, limit)
 
 
-@cache
-def _drive_law(loop: str) -> DriveLaw:
-    return DriveLaw(loop)
+_drive_law = cache(DriveLaw)
 
 
 def drive_law(joint: Joint, config: FirmwareConfig) -> DriveLaw:
-    """The law of ``joint``'s drive; joints whose laws differ by parameters only share one."""
-    return _drive_law(config.law)
+    """The law of ``joint``'s drive; joints whose laws differ by parameters only share one.
+
+    Raises ValueError, with one sentence, for gains that make its torque loop unstable by the loop's own theory.
+    """
+    doubts(joint, config)
+    return _drive_law(config.law, config.velocity_estimator, joint.actuator.linkage, has_load_cell(joint))
+
+
+def doubts(joint: Joint, config: FirmwareConfig) -> list[str]:
+    """A sentence for each condition of the torque loop that its gains do not meet; raises as ``drive_law``."""
+    loop, found = TORQUE_LOOPS[config.law], []
+    if loop.hydraulic != has_load_cell(joint):
+        made_for = "a hydraulic joint" if loop.hydraulic else "a motor behind a spring"
+        found.append(f"{joint.name}: firmware.law = {config.law!r} is made for {made_for}, not for this actuator")
+    return found + loop.doubts(joint, config)

@@ -1,6 +1,6 @@
 """Torque feedback with damping by the motor's velocity and an optional integral (Kim 2018 (5.16), §5.1.1),
 
-effort = tau_d + kp (tau_d − tau) + I − kd dtheta,      I' = ki (tau_d − tau)
+effort = tau_d + kp (tau_d − tau) + I − kd dphi,      I' = ki (tau_d − tau)
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ import casadi as ca
 from joint_firmware.config import FirmwareConfig
 from joint_firmware.laws.block import Offsets, Symbols
 from joint_firmware.laws.signals import Gains
-from joint_firmware.laws.torque_loop import LoopSignals, TorqueLoop, winding
+from joint_firmware.laws.torque_loop import Applied, LoopSignals, TorqueLoop
 from robots.description import Joint
 
 
@@ -20,7 +20,7 @@ class PDm(TorqueLoop):
     name = "PD_m"
 
     def effort(self, s: LoopSignals, gains: Gains, x: Symbols, p: Symbols) -> ca.SX:
-        return s.reference + gains.kp * (s.reference - s.torque) - gains.kd * s.motor_velocity
+        return s.reference + gains.kp * s.error - gains.kd * s.motor_velocity
 
 
 class PIDm(PDm):
@@ -36,9 +36,16 @@ class PIDm(PDm):
     def effort(self, s: LoopSignals, gains: Gains, x: Symbols, p: Symbols) -> ca.SX:
         return super().effort(s, gains, x, p) + ca.if_else(gains.ki > 0, x.integral, 0)
 
-    def integrates(self, gains: Gains) -> ca.SX:
+    def update(self, s: LoopSignals, gains: Gains, x: Symbols, p: Symbols, applied: Applied) -> Symbols:
+        return Symbols(integral=integrated(x.integral, gains.ki, s.error, p.dt, applied))
+
+    def integrates(self, gains: Gains, p: Symbols) -> ca.SX:
         return gains.ki > 0
 
-    def update(self, s: LoopSignals, gains: Gains, x: Symbols, p: Symbols, effort: ca.SX, applied: ca.SX) -> Symbols:
-        growth = ca.if_else(winding(s, effort, applied), 0, gains.ki * (s.reference - s.torque) * p.dt)
-        return Symbols(integral=ca.if_else(gains.ki > 0, x.integral + growth, 0))
+
+def integrated(
+    integral: ca.SX, gain: ca.SX, error: ca.SX, dt: ca.SX, applied: Applied, without_gain: ca.SX | float = 0.0
+) -> ca.SX:
+    """The integral of ``gain`` times ``error`` one tick on: not beyond saturation, 0 without a loop in force."""
+    growth = ca.if_else(applied.winds_up(error), 0, gain * error * dt)
+    return applied.closed * ca.if_else(gain > 0, integral + growth, without_gain)

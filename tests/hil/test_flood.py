@@ -106,7 +106,7 @@ def test_a_priority_above_the_commands_starves_these_and_the_watchdog_ends_the_r
     """States, whose identifiers are lower, still get through, each after one frame of the flood at most."""
     outcome, wire = flooded("1FF", out, _STANDING)
     assert outcome.exit_status == 1
-    assert outcome.record["reason"] == "drive in quick stop: left_abduction, error code …30h, at 1.21 s"  # CiA: 8130h
+    assert outcome.record["reason"] == "drive in quick stop: left_abduction, watchdog (8130h), at 1.21 s"
     waits = wire.waits()
     states = [key for key in waits if key[0] & 0x780 == messages.STATE and key[0] != 0x1FF]
     blocking = frame_ns(Frame(0x1FF, bytes(8), False, False), 1e6, 5e6)

@@ -16,7 +16,7 @@ from pydantic.fields import FieldInfo
 
 from bus.config import BusConfig
 from hil.errors import UserError
-from hil.scenario import Scenario, builtin_names, load, parse_value, to_toml, validate
+from hil.scenario import Scenario, builtin_names, load, notes, parse_value, to_toml, validate
 
 TEXT = st.text(st.characters(codec="utf-8"), max_size=12)
 
@@ -201,6 +201,15 @@ MISTAKES = {
     "world.rate=3000.5Hz": "world.rate = 3000.5 Hz: expected a whole number of hertz, at most 1 MHz",
     "world.rate=1kHz": "world.rate = 1000 Hz: must be a multiple of firmware.rate (3000 Hz)",
     "firmware.report_rate=700Hz": "firmware.rate = 3000 Hz: must be a multiple of firmware.report_rate (700 Hz)",
+    "firmware.joints.left_hp.swing.kp=5": "unknown key 'firmware.joints.left_hp'; did you mean "
+    "'firmware.joints.left_hip'?",
+    "firmware.joints.left_hip.swing.kq=5": "unknown key 'firmware.joints.left_hip.swing.kq'; did you mean "
+    "'firmware.joints.left_hip.swing.kp'?",
+    "firmware.joints.left_hip.swing.kd=-1": "firmware.joints.left_hip.swing.kd = -1: -1 has no unit: write one of "
+    'N m s/rad, Nm s/rad, Nms/rad, for example "-1N m s/rad"',
+    "firmware.law=LQR": "firmware.law = 'LQR': expected 'PD_f', 'PD_m', 'PID_m', 'PD_m+DOB', 'cascade' or 'valve'",
+    "firmware.observer_cutoff=1500Hz": "firmware.observer_cutoff = 1500 Hz: expected less than half of firmware.rate "
+    "(3000 Hz)",
     "controller.compute_time=1ms": "controller.compute_time = 1 ms: must be less than the controller's period, "
     "0.6667 ms at controller.rate = 1500 Hz",
     "controller.phase=700us": "controller.phase = 0.7 ms: must be less than the controller's period, "
@@ -214,8 +223,7 @@ MISTAKES = {
     "terrain.panel_angle=2rad": "terrain.panel_angle = '2rad': expected less than 1.4 rad",
     "limits.com_error=-1mm": "limits.com_error = '-1mm': expected at least 0 m",
     "duration=0s": "duration = 0 s: expected more than 0 s",
-    "robot=atlas": "robot = 'atlas': no robot 'atlas'; there is: hume, valve, vlca, or the path of a "
-    "TOML file",
+    "robot=atlas": "robot = 'atlas': no robot 'atlas'; there is: hume, valve, vlca, or the path of a TOML file",
     "world.variant=heavy": "world.variant = 'heavy': hume has no variant 'heavy'; there is: srlib",
     "controller.variant=3": "controller.variant = 3: expected a text in quotes",
     'name="a/b"': "name = 'a/b': expected 1 to 64 characters, none of / * $ ? #",
@@ -244,6 +252,25 @@ def test_a_mistake_is_named(setting: str) -> None:
 def test_a_setting_needs_a_key_and_a_value(setting: str) -> None:
     with pytest.raises(UserError, match=r"expected KEY=VALUE, for example --set link.command.delay=3ms$"):
         load("stand", [setting])
+
+
+def test_gains_of_one_joint_override_those_of_all_and_only_what_is_given() -> None:
+    """As Kim 2018 Table 7.1 has it: left and right joints swing with different gains."""
+    settings = ["firmware.joints.left_hip.swing.kp=32.7", "firmware.joints.left_hip.swing.ki=3.48"]
+    firmware = load("stand", settings).firmware
+    left, right = firmware.of_joint("left_hip"), firmware.of_joint("right_hip")
+    assert (left.swing.kp, left.swing.ki, left.swing.kd) == (32.7, 3.48, firmware.swing.kd)
+    assert left.stance == right.stance == firmware.stance and right.swing == firmware.swing
+
+
+def test_a_torque_loop_that_cannot_be_stable_is_refused_and_one_that_is_not_passive_is_told() -> None:
+    assert notes(load("stand", ["firmware.law=cascade"])) == []
+    slow = ["firmware.law=cascade", "firmware.velocity_integral=2", "firmware.joints.left_knee.swing.ki=100"]
+    (note,) = notes(load("stand", slow))
+    assert note.startswith("left_knee, firmware.swing: the cascade is not passive at low frequencies: ki = 100 1/s")
+    with pytest.raises(UserError, match=r"left_knee, firmware\.swing: the cascade with kp = 4, ki = 6000 1/s"):
+        load("stand", ["firmware.law=cascade", "firmware.joints.left_knee.swing.ki=6000"])
+    assert len(notes(load("stand", ["firmware.law=valve"]))) == 6
 
 
 def test_a_path_through_a_value_or_a_list_is_refused() -> None:

@@ -66,8 +66,9 @@ def test_a_step_of_torque_follows_the_continuous_loop(bench, joint, gain_set, na
     assert torque[-100:] == pytest.approx(expected[-100:], abs=0.1)
 
 
-def test_without_friction_the_torque_settles_at_its_reference(bench):
-    drive = bench().enable()
+@pytest.mark.parametrize("law", ["PD_f", "PD_m", "PID_m", "PD_m+DOB", "cascade"])
+def test_without_friction_the_torque_settles_at_its_reference(bench, law):
+    drive = bench(law=law).enable()
     rows = held_joint(drive, 1500, friction=0.0, torque=20.0)
     count = abs(drive.joint.sensor.torque_resolution)
     assert drive.joint.actuator.stiffness * rows[-1, 0] == pytest.approx(20.0, abs=count + drive.resolution)
@@ -84,6 +85,17 @@ def test_with_friction_the_error_stays_within_what_friction_can_hold_against_the
     sensed = a.stiffness * rows[-1, 0]
     assert rows[-1, 1] == 0.0
     assert abs(torque - sensed) <= (a.static + a.load_friction * sensed) / (1.0 + drive.config.stance.kp) + 0.1
+
+
+@pytest.mark.parametrize("law", ["PD_m+DOB", "cascade"])
+def test_the_observer_and_the_inner_integral_take_away_what_friction_holds_without_ki(bench, law):
+    """On the mean of a third of a second: against stiction they hunt."""
+    drives = [bench(law=name).enable() for name in ("PD_m", law)]
+    errors = [
+        abs(drive.joint.actuator.stiffness * held_joint(drive, 3000, torque=5.0)[-1000:, 0].mean() - 5.0)
+        for drive in drives
+    ]
+    assert errors[1] < 0.5 * errors[0] and errors[0] > 0.5
 
 
 def test_the_integral_breaks_friction_at_its_time_and_without_it_the_rotor_stays(bench):

@@ -1,5 +1,6 @@
 """The firmware node: start-up, reports, commands good and bad, snapshots, compiled and interpreted law."""
 
+import struct
 from itertools import pairwise
 
 import numpy as np
@@ -13,9 +14,11 @@ from bus.messages import Controlword, GainSet, Mode, Setpoint, Statusword
 from hil.compiled import compile_function
 from joint_firmware.drive import DriveState
 from joint_firmware.laws import DriveLaw
+from joint_firmware.laws import signals as law
 from robots import pins
 
 ENABLE = Controlword.ENABLE_OPERATION
+MODES = [number for name, number in vars(Mode).items() if name.isupper()]
 JOINTS = ["right_abduction", "right_hip", "right_knee", "left_abduction", "left_hip", "left_knee"]
 int32 = st.integers(-(2**31), 2**31 - 1)
 
@@ -202,6 +205,7 @@ def test_commands_of_a_wrong_length_are_counted_and_ignored(bench, data):
     drive = bench().enable(torque=5.0)
     drive.tick(Frame(messages.COMMAND, data))
     assert drive.firmware.malformed == 1
+    drive.run(3)  # switched on, the demand runs to its place
     assert drive.state is DriveState.OPERATION_ENABLED
     assert torque_in_force(drive) == pytest.approx(5.0, abs=drive.resolution)
     drive.run(14)
@@ -269,7 +273,7 @@ payloads = st.one_of(
             counter, [Setpoint(words, mode, torque=torque, position=torque, velocity=torque)] * 3
         ),
         st.sampled_from([0, 2, 6, 7, 15, 128]), st.integers(0, 0xFFFF),
-        st.sampled_from([Mode.TORQUE, Mode.POSITION, Mode.DAMPING]), st.floats(-1e5, 1e5),
+        st.sampled_from(MODES), st.floats(-1e5, 1e5),
     ),
 )  # fmt: skip
 inputs = st.lists(int32, min_size=pins.N_INPUTS, max_size=pins.N_INPUTS)
@@ -301,7 +305,7 @@ def random_life(seed, ticks):
             word = (word + (rng.random() < 0.3)) % len(sequence)
             counter += rng.choice([0, 1, 1, 1, 2])
             setpoint = Setpoint(
-                sequence[word], int(rng.choice([Mode.TORQUE, Mode.POSITION, Mode.DAMPING])),
+                sequence[word], int(rng.choice(MODES)),
                 int(rng.integers(2)), 20.0 * rng.normal(), rng.normal(), rng.normal(), 60.0,
             )  # fmt: skip
             frames.append(Frame(messages.COMMAND, messages.encode_command(counter, [setpoint] * 3)))
@@ -382,3 +386,14 @@ def test_the_compiled_law_is_equal_to_the_bit_on_random_numbers():
             arguments = [scale * rng.normal(size=interpreted.size1_in(i)) for i in range(4)]
             for ours, theirs in zip(interpreted(*arguments), compiled(*arguments), strict=True):
                 assert np.array(ours).tobytes() == np.array(theirs).tobytes()
+
+
+def test_gains_of_one_joint_are_those_of_its_drive_and_of_its_dictionary(bench):
+    changed = {"joints": {"left_hip": {"swing": {"kp": 7.5}}}}
+    left, right = (bench(f"{side}_hip", **changed) for side in ("left", "right"))
+    swing = left.config.swing
+    for drive, kp in ((left, 7.5), (right, swing.kp)):
+        drive.enable(gain_set=GainSet.SWING)
+        u = drive.firmware.u
+        assert (u[law.U_KP], u[law.U_KI], u[law.U_KD]) == (kp, swing.ki, swing.kd)
+        assert drive.firmware.dictionary.read(0x2001, 1) == struct.pack("<f", kp)

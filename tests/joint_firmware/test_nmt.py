@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from bus import messages
+from bus.drive_faults import DriveFault
 from bus.frames import Frame
 from bus.messages import Controlword, GainSet, Mode
 from joint_firmware.drive import POWERED, DriveState
@@ -212,16 +213,17 @@ def test_a_fault_is_told_and_kept_in_the_history(rig):
     drive, sdo = rig.bench.enable(), rig.node.sdo
     drive.place(torque=300.0)
     rig.run(1)
-    assert rig.emergencies() == [(0x2310, 0x03)]
-    assert rig.node.emcy.log[0].get_desc() == "Current"
-    assert (sdo[0x603F].raw, sdo[0x1001].raw, sdo[0x1003][0].raw, sdo[0x1003][1].raw) == (0x2310, 3, 1, 0x2310)
+    assert rig.emergencies() == [(0x8311, 0x21)]
+    assert rig.node.emcy.log[0].get_desc() == "Monitoring"
+    assert (sdo[0x603F].raw, sdo[0x1001].raw, sdo[0x1003][0].raw, sdo[0x1003][1].raw) == (0x8311, 0x21, 1, 0x8311)
     drive.place()
+    rig.run(1)
     rig.run(3, drive.frame(Controlword.FAULT_RESET))
-    assert rig.emergencies() == [(0x2310, 0x03), (0x0000, 0x00)] and rig.node.emcy.active == []
+    assert rig.emergencies() == [(0x8311, 0x21), (0x0000, 0x00)] and rig.node.emcy.active == []
     assert (sdo[0x603F].raw, sdo[0x1001].raw, sdo[0x1003][0].raw) == (0, 0, 1)
     drive.enable()
     rig.run(WATCHDOG_TICKS)
-    assert [sdo[0x1003][n].raw for n in range(3)] == [2, 0x8130, 0x2310]  # the newest first
+    assert [sdo[0x1003][n].raw for n in range(3)] == [2, 0x8130, 0x8311]  # the newest first
     sdo[0x1003][0].raw = 0
     assert sdo[0x1003][0].raw == 0
     with pytest.raises(canopen.SdoAbortedError) as caught:
@@ -247,9 +249,8 @@ def test_an_error_of_a_stopped_node_is_told_once_it_may_speak(rig):
     rig.node.nmt.state = "STOPPED"
     rig.run(STOP_TICKS + 1)
     assert rig.emergencies() == [(0x8130, 0x11)]  # the last word before it fell silent
-    drive.firmware.error = 0  # an error that comes in the stopped state, whatever its cause
     sent = []
-    drive.firmware._fault(0x8612, sent)
+    drive.firmware._power_off(DriveFault.POSITION_LIMIT, sent)  # in the stopped state, whatever its cause
     assert sent == []
     rig.node.nmt.state = "PRE-OPERATIONAL"
     assert rig.emergencies()[1:] == [(0x8612, 0x21)]
@@ -287,6 +288,29 @@ def test_a_master_enables_a_drive_and_commands_torque_by_sdo_alone(rig):
     assert drive.motor_torque == pytest.approx(30.0 + 10.0 * 15.0 * 0.1, abs=0.2)
     rig.node.sdo[0x6040].raw = 6
     assert (drive.state, drive.enabled) == (DriveState.READY_TO_SWITCH_ON, 0)
+
+
+@pytest.mark.parametrize("mode", [Mode.IMPEDANCE, Mode.JOINT_POSITION, Mode.MOTOR_POSITION, Mode.OPEN_LOOP])
+def test_any_mode_by_sdo_starts_with_set_points_that_move_nothing(rig, mode):
+    drive = rig.bench
+    drive.place(0.4, torque=12.0)
+    rig.run(2)
+    walk(rig, mode)
+    rig.run(100)
+    at_rest = -12.0 if mode in (Mode.IMPEDANCE, Mode.JOINT_POSITION) else 0.0  # kp (0 − tau): the spring is not relaxed
+    assert drive.motor_torque == pytest.approx(at_rest, abs=0.1)
+
+
+def test_stiffness_and_damping_of_impedance_are_commanded_by_sdo(rig):
+    drive, sdo = rig.bench, rig.node.sdo
+    drive.place(0.4)
+    rig.run(2)
+    walk(rig, Mode.IMPEDANCE)
+    sdo[0x607A].phys = 0.5
+    for stiffness in (20.0, 80.0):
+        sdo[0x2018].raw = stiffness
+        rig.run(100)
+        assert drive.motor_torque == pytest.approx((1 + 1.0) * stiffness * 0.1, abs=0.1)  # (1 + kp) tau_d
 
 
 def test_position_mode_by_sdo_starts_where_the_joint_is(rig):

@@ -181,7 +181,9 @@ def test_a_gain_takes_effect_at_once_and_survives_until_the_reset(rig):
 
 @pytest.mark.parametrize(
     ("index", "value"),
-    [(0x2010, 0.02), (0x2011, 5e3), (0x2012, 100.0), (0x2013, 12.5), (0x2014, 80.0), (0x2015, 4.0)],
+    [(0x2010, 0.02), (0x2011, 5e3), (0x2012, 100.0), (0x2013, 12.5), (0x2014, 80.0), (0x2015, 4.0),
+     (0x2016, 55.0), (0x2017, 2.0), (0x2018, 44.0), (0x2019, 1.5), (0x201A, 90.0), (0x201B, 30.0), (0x201C, 7.0),
+     (0x201D, 0.25), (0x201E, -0.5)],
 )
 def test_a_parameter_is_read_back_and_the_other_drives_do_not_hear_of_it(bench, rig, index, value):
     other = Rig(bench(**GAINS).boot())
@@ -189,6 +191,29 @@ def test_a_parameter_is_read_back_and_the_other_drives_do_not_hear_of_it(bench, 
     rig.node.sdo[index].raw = value
     assert rig.node.sdo[index].raw == pytest.approx(value, rel=1e-7)
     assert other.node.sdo[index].raw == before == Rig(bench().boot()).node.sdo[index].raw
+
+
+def test_the_law_has_a_name_and_its_filter_a_bound(bench):
+    rig = Rig(bench(law="PD_m+DOB", velocity_estimator="M/T").boot())
+    sdo = rig.node.sdo
+    assert (sdo[0x2003]["Torque loop"].raw, sdo[0x2003]["Velocity estimator"].raw) == ("PD_m+DOB", "M/T")
+    names = rig.bench.firmware.law.parameters
+    before = rig.bench.firmware._law.p_array.copy()
+    sdo[0x201B].raw = 60.0
+    changed = {names[n] for n in (rig.bench.firmware._law.p_array != before).nonzero()[0]}
+    assert changed == {"observer_cutoff", "observer_half_step"}
+    with pytest.raises(canopen.SdoAbortedError) as caught:
+        sdo[0x201B].raw = 1400.0  # near half the interrupt's rate
+    assert caught.value.code == 0x06090031
+
+
+def test_gains_that_make_the_cascade_unstable_are_refused_and_change_nothing(bench):
+    rig = Rig(bench(law="cascade").boot())
+    ki = rig.node.sdo[0x2000]["ki"]
+    ki.raw = 300.0
+    with pytest.raises(canopen.SdoAbortedError) as caught:
+        ki.raw = 6000.0
+    assert caught.value.code == 0x06090030 and ki.raw == 300.0
 
 
 def test_the_watchdog_is_as_long_as_it_was_written(rig):
@@ -371,8 +396,8 @@ def test_an_expedited_download_without_a_size_is_as_long_as_its_object(rig):
 
 # --- whatever comes -----------------------------------------------------------------------------------------
 
-writable = [(0x1003, 0), (0x1017, 0), (0x1800, 2), (0x2000, 1), (0x2002, 0), (0x2010, 0), (0x2020, 1), (0x6040, 0),
-            (0x6060, 0), (0x6071, 0), (0x6072, 0), (0x607A, 0), (0x607D, 1), (0x607D, 2)]  # fmt: skip
+writable = [(0x1003, 0), (0x1017, 0), (0x1800, 2), (0x2000, 1), (0x2002, 0), (0x2010, 0), (0x201B, 0), (0x2020, 1),
+            (0x6040, 0), (0x6060, 0), (0x6071, 0), (0x6072, 0), (0x607A, 0), (0x607D, 1), (0x607D, 2)]  # fmt: skip
 aimed = st.builds(
     lambda command, place, data: struct.pack("<BHB", command, *place) + data,
     st.integers(0, 255), st.sampled_from(writable), st.binary(min_size=4, max_size=4),
@@ -385,7 +410,7 @@ requests = st.one_of(st.binary(max_size=12), st.binary(min_size=8, max_size=8), 
 
 
 PARAMETERS = [(0x1017, 0), (0x1800, 2), (0x2002, 0), (0x6072, 0), (0x607D, 1), (0x607D, 2),
-              *[(index, 0) for index in range(0x2010, 0x2016)],
+              *[(index, 0) for index in range(0x2010, 0x201F)],
               *[(index, sub) for index in (0x2000, 0x2001) for sub in (1, 2, 3)],
               *[(0x2020, sub) for sub in (1, 2, 3, 4)]]  # fmt: skip
 

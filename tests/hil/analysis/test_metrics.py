@@ -391,11 +391,11 @@ def test_a_simulation_that_diverges_is_named() -> None:
     (Statusword.FAULT, "fault"), (Statusword.FAULT_REACTION_ACTIVE, "fault"),
     (Statusword.QUICK_STOP_ACTIVE, "quick stop"),
 ])  # fmt: skip
-def test_a_drive_in_fault_is_named_with_its_code(status: int, what: str) -> None:
+def test_a_drive_in_fault_is_named_with_its_cause(status: int, what: str) -> None:
     run = Run()
     run.drives["statusword.left_knee"][run.t >= 3.0] = status
-    run.drives["error.left_knee"][:] = 0x11
-    assert run.monitor() == (3000, f"drive in {what}: left_knee, error code …11h, at 3.00 s")
+    run.drives["error.left_knee"][:] = 10
+    assert run.monitor() == (3000, f"drive in {what}: left_knee, over torque (8311h), at 3.00 s")
 
 
 def test_errors_do_not_count_before_the_controller_balances() -> None:

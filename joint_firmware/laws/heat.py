@@ -1,0 +1,87 @@
+"""How warm the motor is: its sensor, a model of winding and housing, and i²t for what heats faster than a sensor shows.
+
+    C_w dT_w = R (1 + α (T_w − 25 °C)) i² − (T_w − T_h) / R_wh
+    C_h dT_h = (T_w − T_h) / R_wh − (T_h − 25 °C) / R_ha
+
+The sensor says how warm it is at power-on, in the model as well. i²t is the integral of i² − i_c², never below zero,
+with i_c the current that may flow for ever; its limit is a share of the heat that warms the winding alone by what its
+insulation permits.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import casadi as ca
+
+from joint_firmware.config import FirmwareConfig
+from joint_firmware.laws.block import Block, Offsets, Symbols
+from robots import pins
+from robots.actuators import AMBIENT, COPPER, Actuator
+from robots.description import Joint
+
+
+class Heat(NamedTuple):
+    """Both over their limits."""
+
+    temperature: ca.SX
+    load: ca.SX
+
+
+def continuous_current(actuator: Actuator) -> float:
+    """Current that heats the winding to its limit in the end, A; at most that of the drive, also without a motor."""
+    motor, thermal = actuator.motor, actuator.thermal
+    if motor is None or thermal is None:
+        return actuator.current_limit
+    way = thermal.winding_to_housing + thermal.housing_to_ambient
+    rise = thermal.winding_limit - AMBIENT
+    return min(math.sqrt(rise / (_hot(motor.resistance, rise) * way)), actuator.current_limit)
+
+
+def _hot(resistance: float, rise: float) -> float:
+    """``resistance`` when ``rise`` K above 25 °C."""
+    return resistance * (1.0 + COPPER * rise)
+
+
+class HeatWatch(Block):
+    states = ("winding_temperature", "housing_temperature", "overload")
+    parameters = (
+        "dt", "resistance", "winding_rate", "housing_rate", "housing_share", "winding_heat", "permitted_rise",
+        "continuous_square", "overload_limit",
+    )  # fmt: skip
+
+    def values(self, joint: Joint, config: FirmwareConfig, offsets: Offsets) -> dict[str, float]:
+        actuator, limits = joint.actuator, config.protection
+        motor, thermal = actuator.motor, actuator.thermal
+        values = {"dt": 1.0 / config.rate, "continuous_square": continuous_current(actuator) ** 2}
+        if motor is None or thermal is None:  # no winding: its temperature stays what the sensor says
+            return values | {
+                "resistance": 0.0, "winding_heat": 0.0, "winding_rate": 0.0, "housing_rate": 0.0, "housing_share": 0.0,
+                "permitted_rise": 1e9, "overload_limit": 1e9,
+            }  # fmt: skip
+        rise = thermal.winding_limit - AMBIENT
+        return values | {
+            "overload_limit": limits.overload * thermal.winding_capacity * rise / _hot(motor.resistance, rise),  # A² s
+            "resistance": motor.resistance,
+            "winding_heat": 1.0 / thermal.winding_capacity,  # K/J
+            "winding_rate": 1.0 / (thermal.winding_to_housing * thermal.winding_capacity),  # 1/s
+            "housing_rate": 1.0 / (thermal.winding_to_housing * thermal.housing_capacity),
+            "housing_share": 1.0 / (thermal.housing_to_ambient * thermal.housing_capacity),
+            "permitted_rise": limits.over_temperature * rise,
+        }
+
+    def watch(self, counts: ca.SX, current: ca.SX, x: Symbols, p: Symbols) -> tuple[Heat, Symbols]:
+        """``current`` [A], measured. The levels, and the states of the next tick."""
+        sensed = counts[pins.TEMPERATURE_ADC] * pins.KELVIN_PER_COUNT
+        winding = ca.if_else(x.started > 0, x.winding_temperature, sensed)
+        housing = ca.if_else(x.started > 0, x.housing_temperature, sensed)
+        power = p.resistance * (1.0 + COPPER * (winding - AMBIENT)) * current**2  # W
+        across = winding - housing
+        winding_next = winding + p.dt * (p.winding_heat * power - p.winding_rate * across)
+        housing_next = housing + p.dt * (p.housing_rate * across - p.housing_share * (housing - AMBIENT))
+        overload = ca.fmax(x.overload + p.dt * (current**2 - p.continuous_square), 0)
+        overload = ca.fmin(overload, 1.1 * p.overload_limit)
+        temperature = (ca.fmax(sensed, winding_next) - AMBIENT) / p.permitted_rise
+        x_next = Symbols(winding_temperature=winding_next, housing_temperature=housing_next, overload=overload)
+        return Heat(temperature, overload / p.overload_limit), x_next
