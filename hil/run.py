@@ -80,13 +80,19 @@ Progress = Callable[[Any, float], None]  # system, wall seconds since the first 
 
 
 @contextlib.contextmanager
-def assemble(request: Request, wrap: Callable[[str, Any], Any] = lambda _, node: node) -> Iterator[Assembly]:
+def assemble(
+    request: Request,
+    wrap: Callable[[str, Any], Any] = lambda _, node: node,
+    alter: Callable[[description.Robot], description.Robot] = lambda robot: robot,
+) -> Iterator[Assembly]:
     """Build all nodes on the backend and connect them; on leaving, every process and socket of the run is gone.
 
-    ``wrap(name, node)`` may put a proxy around a node or host (the benchmark measures through it).
+    ``wrap(name, node)`` may put a proxy around a node or host (the benchmark measures through it). ``alter(robot)`` may
+    put another description in place of every one that is loaded (inline only: the other backend's controller loads its
+    own).
     """
     scenario = request.scenario
-    robot = description.load(scenario.robot)
+    robot = alter(description.load(scenario.robot))
     random = streams(request.seed)
     with contextlib.ExitStack() as stack:
         kernel = None
