@@ -177,11 +177,17 @@ class Injector:
             self.inject(now_ns, key, value, by="scenario")
 
     def snapshot(self) -> dict[str, Any]:
-        return {"scheduled": self._scheduled, "values": dict(self._values), "before": dict(self._before)}
+        return {
+            "scheduled": self._scheduled,
+            "values": dict(self._values),
+            "before": dict(self._before),
+            "injected": list(self.injected),
+        }
 
     def restore(self, state: dict[str, Any]) -> None:
         self._scheduled = state["scheduled"]
         self._values, self._before = dict(state["values"]), dict(state["before"])
+        self.injected[:] = state["injected"]
 
 
 def _configured(scenario: Scenario, key: str, default: Any) -> Any:

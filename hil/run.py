@@ -44,6 +44,7 @@ class Request:
     report: bool = True
     journal: Any = None  # a hil.record.journal.Journal to write to instead of the one of the directory
     log_formats: tuple[str, ...] = ()  # of each bus, beside candump's: of bus.logs.FORMATS
+    signals: bool = True  # end in order on SIGINT, SIGTERM and SIGHUP; only the main thread can
 
 
 @dataclass
@@ -100,7 +101,7 @@ def assemble(
             from hil.backends.socketcan import SocketCan
 
             kernel = stack.enter_context(SocketCan(robot, scenario, request.can, request.external, request.interfaces))
-        family = stack.enter_context(Family())
+        family = stack.enter_context(Family(request.signals))
         if request.clock == "wall":
             wall = WallClock(round(1e9 / scenario.firmware.rate))
             wall.request_priority()  # before the children are forked: they inherit it

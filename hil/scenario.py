@@ -71,7 +71,7 @@ def load(name: str, settings: typing.Sequence[str] = ()) -> Scenario:
         key, separator, text = setting.partition("=")
         if not separator or not all(part.strip() for part in key.split(".")):
             raise UserError(f"--set {setting}: expected KEY=VALUE, for example --set link.command.delay=3ms")
-        _assign(data, key.strip(), _literal(text.strip()))
+        assign(data, key.strip(), _literal(text.strip()))
     return complete(data, source)
 
 
@@ -105,7 +105,7 @@ def parse_value(key: str, value: Any) -> float | bool | str:
     Raises UserError for an unknown key or a value that the key does not take.
     """
     data: dict[str, Any] = {"name": "value"}
-    _assign(data, key, value)
+    assign(data, key, value)
     node: Any = validate(data)
     for part in key.split("."):
         node = node[part] if isinstance(node, dict) else getattr(node, part)
@@ -155,7 +155,8 @@ def _literal(text: str) -> Any:
     return read["value"] if len(read) == 1 else text
 
 
-def _assign(data: dict[str, Any], key: str, value: Any) -> None:
+def assign(data: dict[str, Any], key: str, value: Any) -> None:
+    """Set ``key`` of the scenario file's content ``data``. Raises UserError where a table is in the way of it."""
     *parents, leaf = key.split(".")
     node = data
     for part in parents:

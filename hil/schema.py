@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import json
+import math
 import types
 import typing
 from collections.abc import Iterator, Mapping
@@ -77,6 +78,11 @@ def _short(value: Any) -> str:
 
 def _below(kind: Any, part: str | int) -> tuple[Any, str | None]:
     """Type and unit of what lies under ``part`` of a table or list ``kind``; (None, None) for nothing."""
+    return _look_below(kind, part)[:2]
+
+
+def _look_below(kind: Any, part: str | int) -> tuple[Any, str | None, tuple[Any, ...]]:
+    """Type, unit and metadata of what lies under ``part`` of a table or list ``kind``; None for nothing."""
     metadata: tuple[Any, ...] = ()
     inner: Any = None
     if isinstance(kind, type) and issubclass(kind, BaseModel):
@@ -90,13 +96,57 @@ def _below(kind: Any, part: str | int) -> tuple[Any, str | None]:
     if typing.get_origin(inner) in (typing.Union, types.UnionType):
         inner = next(a for a in typing.get_args(inner) if a is not type(None))
     if typing.get_origin(inner) is Annotated:
-        inner, *metadata = typing.get_args(inner)  # type: ignore[assignment]
+        inner, *more = typing.get_args(inner)
+        metadata = (*metadata, *more)
     extras = [m.json_schema_extra for m in metadata if isinstance(m, FieldInfo) and m.json_schema_extra]
-    return inner, next((str(e["unit"]) for e in extras if isinstance(e, dict) and "unit" in e), None)
+    return inner, next((str(e["unit"]) for e in extras if isinstance(e, dict) and "unit" in e), None), metadata
 
 
 def _keys_of(kind: Any) -> list[str]:
     return list(kind.model_fields) if isinstance(kind, type) and issubclass(kind, BaseModel) else []
+
+
+class Field(typing.NamedTuple):
+    """A single value of a schema: what it holds, its unit ("" without), bounds of a number (±infinity: none)."""
+
+    kind: typing.Literal["number", "integer", "flag", "text", "other"]
+    unit: str
+    low: float
+    high: float
+    choices: tuple[str, ...]
+
+
+def field(model: type[BaseModel], key: str) -> Field | None:
+    """What ``model`` holds at ``key`` (with dots); None for an unknown key."""
+    kind: Any = model
+    unit, metadata = None, ()
+    for part in key.split("."):
+        kind, unit, metadata = _look_below(kind, part)
+        if kind is None:
+            return None
+    low, high = -math.inf, math.inf
+    for bound in _constraints(metadata):
+        low = max(low, getattr(bound, "ge", getattr(bound, "gt", -math.inf)))
+        high = min(high, getattr(bound, "le", getattr(bound, "lt", math.inf)))
+    choices: tuple[str, ...] = ()
+    if typing.get_origin(kind) is typing.Literal:
+        values = typing.get_args(kind)
+        choices, kind = tuple(map(str, values)), type(values[0])
+    names: dict[Any, Any] = {float: "number", int: "integer", bool: "flag", str: "text"}
+    return Field(names.get(kind, "other"), unit or "", low, high, choices)
+
+
+def _constraints(metadata: typing.Iterable[Any]) -> Iterator[Any]:
+    for item in metadata:
+        if isinstance(item, FieldInfo):
+            yield from _constraints(item.metadata)
+        else:
+            yield item
+
+
+def leaves(model: type[BaseModel], configuration: Mapping[str, Any]) -> list[str]:
+    """The keys of all single values in ``configuration`` (a ``model_dump`` of ``model``)."""
+    return [path for path, _ in _leaves("", configuration, model, None)]
 
 
 def nearest(name: str, valid: typing.Sequence[str], table: str = "") -> str:

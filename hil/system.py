@@ -393,6 +393,7 @@ class System:
 
     _PLAIN = (
         "now_ns", "_isr", "_control", "_isr_ns", "_control_ns", "_reply_ns", "_flush_ns", "_monitor_ns", "tool_frames",
+        "stop_reason",
     )  # fmt: skip
 
     def snapshot(self) -> dict[str, Any]:

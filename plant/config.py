@@ -110,5 +110,6 @@ class WorldConfig(Config):
     rate: Hertz = 3000.0  # physics steps per second; a multiple of the firmware's rate
     variant: str | None = None  # another set of masses than the robot's description
     friction_scale: Gain = 1.0  # on the dry friction of the actuators
+    mass_error: Annotated[float, Field(ge=-0.9, le=10)] = 0.0  # of all links, relative; inertias with their masses
     planarizer: PlanarizerConfig = PlanarizerConfig()
     hoist: HoistConfig = HoistConfig()

@@ -49,6 +49,8 @@ class World:
     ) -> None:
         if config.variant is not None:
             robot = description.load(robot.source, config.variant)
+        if config.mass_error:
+            robot = robot.with_masses(1.0 + config.mass_error)
         self.robot = robot
         self._config = config
         self._pushes = tuple((push, np.array(push.force)) for push in pushes)

@@ -45,6 +45,13 @@ class Link(Config):
         return inertia
 
 
+    def with_mass(self, factor: float) -> Self:
+        """The same shape of another density."""
+        return self.model_copy(
+            update={"mass": factor * self.mass, "inertia": tuple(factor * moment for moment in self.inertia)}
+        )
+
+
 class Base(Link):
     name: str
 
@@ -150,6 +157,11 @@ class Robot(Config):
     def mass(self) -> float:
         """Total mass, kg."""
         return self.base.mass + sum(joint.link.mass for joint in self.joints)
+
+    def with_masses(self, factor: float) -> Self:
+        """With all links' masses and inertias times ``factor``; rotors are the actuators'."""
+        joints = tuple(joint.model_copy(update={"link": joint.link.with_mass(factor)}) for joint in self.joints)
+        return self.model_copy(update={"base": self.base.with_mass(factor), "joints": joints})
 
     def joint(self, name: str) -> Joint:
         return self.joints[self.joint_names.index(name)]

@@ -63,6 +63,13 @@ class Monitor:
         self._height: float | None = None
         self._stood: list[np.ndarray] | None = None
 
+    def snapshot(self) -> dict[str, Any]:
+        stood = None if self._stood is None else [place.copy() for place in self._stood]
+        return {"height": self._height, "stood": stood}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        self._height, self._stood = state["height"], state["stood"]
+
     def check(self, now_ns: int, world: np.ndarray, controller: np.ndarray, drives: np.ndarray) -> str | None:
         """One sentence when the run has failed by now, else None."""
         limits, time = self._limits, now_ns * 1e-9

@@ -47,15 +47,19 @@ def _status(process: Any) -> int | None:
 
 
 class Family:
-    """The processes of a run: started together, watched, and ended together."""
+    """The processes of a run: started together, watched, and ended together.
 
-    def __init__(self) -> None:
+    signals: whether SIGINT, SIGTERM and SIGHUP are noted, for ``check`` to raise; only the main thread can.
+    """
+
+    def __init__(self, signals: bool = True) -> None:
+        self._signals = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP) if signals else ()
         self._processes: dict[str, Any] = {}
         self._signal: str | None = None
         self._previous: dict[int, Any] = {}
 
     def __enter__(self) -> Family:
-        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        for number in self._signals:
             self._previous[number] = signal.signal(number, self._on_end)
         return self
 

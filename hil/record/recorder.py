@@ -61,6 +61,15 @@ class RowRecorder:
         self._taken = len(self)
         return [part for part in parts if len(part[0])]
 
+    def rewind(self, count: int) -> None:
+        """Forget all rows but the first ``count``, which have been taken."""
+        block, self._count = divmod(count, _BLOCK)
+        blocks = [*self._full, (self._times, self._rows)]
+        if block and not self._count:  # the one before, full to its end
+            block, self._count = block - 1, _BLOCK
+        self._full, (self._times, self._rows) = blocks[:block], blocks[block]
+        self._taken = count
+
     def table(self) -> Signals:
         """All rows so far, copied."""
         blocks = [*self._full, (self._times[: self._count], self._rows[: self._count])]
@@ -161,6 +170,28 @@ class Recorder:
             total.update(name.encode() + b"\0" + lines.digest())
         return total.hexdigest()
 
+    def snapshot(self) -> dict[str, Any]:
+        """How far the record is. Only of a record without files: what is in a file stays there."""
+        if self._mcap is not None:
+            raise ValueError("a record that is being written to files cannot be taken back")
+        self.flush(self.flushed_ns)
+        return {
+            "rows": {name: len(channel) for name, channel in self._channels.items()},
+            "hashes": _copies(self._hashes),
+            "bus_hashes": [lines.copy() for lines in self._bus_hashes],
+            "flushed_ns": self.flushed_ns,
+        }
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Forget what has come since ``snapshot``: of this record, not of another."""
+        for name, count in state["rows"].items():
+            self._channels[name].rewind(count)
+        self._hashes = _copies(state["hashes"])
+        self._bus_hashes = [lines.copy() for lines in state["bus_hashes"]]
+        for frames in self._frames:
+            frames.clear()
+        self.flushed_ns = state["flushed_ns"]
+
     def table(self, name: str) -> Signals:
         """All rows of a channel so far. Raises KeyError for a channel that was not announced."""
         return self._channels[name].table()
@@ -180,3 +211,7 @@ class Recorder:
         for log in itertools.chain(*self._other_logs):
             log.close()
         self._logs, self._other_logs = [], [[] for _ in self._buses]
+
+
+def _copies(hashes: dict[str, tuple[Any, Any]]) -> dict[str, tuple[Any, Any]]:
+    return {name: (times.copy(), rows.copy()) for name, (times, rows) in hashes.items()}
