@@ -138,8 +138,9 @@ def assemble(
                 )
         from plant.world import World
 
+        real = alter(description.load(scenario.robot, scenario.world.variant))
         world = World(
-            robot, scenario.world, scenario.terrain, scenario.stance, scenario.sensors, scenario.push, random,
+            real, scenario.world.model_copy(update={"variant": None}), scenario.terrain, scenario.stance, scenario.sensors, scenario.push, random,
             compile=compile_function, imu_rate=scenario.firmware.report_rate,
         )  # fmt: skip
         from central_controller.controller import telemetry_fields
@@ -152,7 +153,7 @@ def assemble(
             from hil.backends.inline import InlineController, InlineJoints
 
             joints = InlineJoints(nodes, world.pins_in, world.pins_out)
-            model = description.load(scenario.robot, scenario.controller.variant)
+            model = alter(description.load(scenario.robot, scenario.controller.variant))
             controller = InlineController(Controller(model, scenario.controller, compile=compile_function))
 
         from hil.analysis.verdict import Monitor

@@ -213,7 +213,7 @@ class StandingSection:
         world = system.world
         return (
             world.data.qpos.copy(), world.data.qvel.copy(), world.actuators.state.copy(),
-            [node.x_array.copy() for node in system.joints.nodes], system.controller.snapshot()["_memory"],
+            [np.array(node.x) for node in system.joints.nodes], system.controller.snapshot()["_memory"],
         )  # fmt: skip
 
     def difference(self, first: Any, second: Any) -> Array:
