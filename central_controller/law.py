@@ -37,7 +37,7 @@ def memory_names(robot: Robot) -> tuple[str, ...]:
         *[f"velocity of {joint}" for joint in robot.joint_names],
         *[f"integral of {task}" for task in ("CoM x", "CoM z", "pitch", "roll")],
         "heading",
-        "force felt inside",
+        "internal force",
     )
 
 

@@ -58,7 +58,8 @@ class DelayModel:
         n, m = matrices.shape[1], memory(matrices, floor)
         if m == 0:
             return cls(matrices[0].copy(), n, period)
-        late = matrices[1 : m + 1]
+        late = matrices[1 : m + 1].copy()
+        late[np.abs(late).max(axis=(1, 2)) <= floor] = 0.0  # periods in which nothing arrives
         _, values, rows = np.linalg.svd(late.reshape(m * n, n), full_matrices=False)
         r = max(int(np.count_nonzero(values > floor)), 1)
         combine = rows[:r]

@@ -1,25 +1,38 @@
-"""A system without what is not smooth, settled at an operating point."""
+"""A robot that has settled, without what is not smooth: where its loop is linearised, with whatever values."""
 
 from __future__ import annotations
 
-from hil.lab.quantity import changed
+import contextlib
+import math
+from collections.abc import Mapping
+from typing import Any, Self
+
+from hil.errors import UserError
+from hil.lab.linear.linearisation import Linearisation
+from hil.lab.linear.standing import StandingSection, hyper_period
+from hil.lab.quantity import Value, changed, quantity
+from hil.run import Request, assemble
 from hil.scenario import Scenario
 from robots.description import Robot
 
 # What a linear model has no place for, and its value in the system that is linearised.
-SMOOTH = {
+SMOOTH: dict[str, Value] = {
     "world.friction_scale": 0.0,
     "sensors.noise": 0.0,
     "sensors.bias": 0.0,
-    "firmware.heartbeat_period": "0 s",  # ten of them a second would shift the frames behind them
+    "firmware.heartbeat_period": "0 s",  # the frames behind one are late
 }
-_FINER = 1000.0  # encoders, load cells, currents
-_FINER_GYRO, _FINER_ACCELEROMETER = 10.0, 2.0  # as far as 16 bits go
+# By how much finer sensors and current loops are, as far as the 32 bits of the counts go, and the IMU's 16.
+_FINER_ENCODER, _FINER = 4e3, 1e5  # encoders of angles; spring encoders, load cells, currents
+_FINER_GYRO, _FINER_ACCELEROMETER = 10.0, 2.0
+
+_STEP, _REST = 1e-3, 3e-3  # s: a delay grows in such steps, each after such a rest: its gaps must not wake the watchdog
+_CALM = 0.02  # s from the last change to the section
 
 
 def smooth(scenario: Scenario) -> Scenario:
-    """``scenario`` without dry friction, noise and bias."""
-    return changed(scenario, dict(SMOOTH))
+    """``scenario`` without dry friction, noise, bias, and faults to come."""
+    return changed(scenario, SMOOTH).model_copy(update={"inject": ()})
 
 
 def fine(robot: Robot) -> Robot:
@@ -27,8 +40,8 @@ def fine(robot: Robot) -> Robot:
     joints = tuple(
         joint.model_copy(update={
             "sensor": joint.sensor.model_copy(update={
-                "encoder": joint.sensor.encoder * _FINER,
-                "joint_encoder": joint.sensor.joint_encoder * _FINER,
+                "encoder": joint.sensor.encoder * _FINER_ENCODER,
+                "joint_encoder": joint.sensor.joint_encoder * _FINER_ENCODER,
                 "torque_resolution": joint.sensor.torque_resolution / _FINER,
                 "force_resolution": joint.sensor.force_resolution / _FINER,
             }),
@@ -45,3 +58,80 @@ def fine(robot: Robot) -> Robot:
             "accelerometer_resolution": imu.accelerometer_resolution / _FINER_ACCELEROMETER,
         })  # fmt: skip
     return robot.model_copy(update={"joints": joints, "imu": imu})
+
+
+class OperatingPoint:
+    """``scenario``, made smooth, at ``at`` s. Use as a context manager, or ``close`` it.
+
+    Raises UserError when the robot does not come that far.
+    """
+
+    def __init__(self, scenario: Scenario, at: float, seed: int = 0) -> None:
+        from plant.stance import StanceError
+
+        self.scenario, self.at = smooth(scenario), at
+        self._stack = contextlib.ExitStack()
+        try:
+            request = Request(self.scenario, seed, backend="inline", signals=False)
+            self.system = self._stack.enter_context(assemble(request, alter=fine)).system
+        except StanceError as error:
+            raise UserError(f"{scenario.name}: stance: {error}") from None
+        ticks, common = hyper_period(self.system)
+        self._tick_ns = lambda k: k * ticks * 10**9 // int(self.scenario.firmware.rate)
+        self._common = common
+        self._run(at)
+        if self.system.stop_reason is not None:
+            raise UserError(f"{scenario.name} without stiction does not stand until {at:g} s: {self.system.stop_reason}")
+        self.system.monitor = None  # it watches what goes on for long, not what is taken back
+        self._settled = self.system.snapshot()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        self._stack.close()
+
+    def _run(self, time: float) -> None:
+        """To the first section at or after ``time``."""
+        self.system.run_until(self._tick_ns(math.ceil(round(time * self._common, 6))))
+
+    @property
+    def now(self) -> float:
+        return self.system.now_ns * 1e-9
+
+    def section(self, values: Mapping[str, Value] | None = None) -> StandingSection:
+        """The loop, displaceable, with injectable ``values`` (SI) that are reached without a jump."""
+        system = self.system
+        system.restore(self._settled)
+        for key, value in (values or {}).items():
+            self._reach(key, value)
+        if values:
+            self._run(self.now + _CALM + self.delay)
+        for node in system.joints.nodes:
+            if not node.powered:
+                raise UserError(f"{node.name}'s drive is off {self.now:.3f} s after the start: {node.state.name}")
+        return StandingSection(system, system.snapshot())
+
+    def _reach(self, key: str, value: Value) -> None:
+        known = quantity(self.scenario, key)
+        if known.unit != "s" or not key.endswith(".delay"):
+            self.system.inject(key, known.written(value))
+            return
+        present, wanted = float(self.system.injector.values[key]), float(value)
+        steps = max(math.ceil(abs(wanted - present) / _STEP), 1)
+        for step in range(1, steps + 1):
+            self.system.inject(key, known.written(present + (wanted - present) * step / steps))
+            self._run(self.now + _REST)
+
+    @property
+    def delay(self) -> float:
+        """Longest way of data through the links and buses now, s."""
+        return sum(float(value) for key, value in self.system.injector.values.items() if key.endswith(".delay"))
+
+    def linearise(self, values: Mapping[str, Value] | None = None, scale: float = 1.0) -> Linearisation:
+        """The loop with injectable ``values`` (SI); ``scale`` of the displacements."""
+        section = self.section(values)
+        return Linearisation.of(section, self.delay, scale)

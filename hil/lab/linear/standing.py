@@ -28,7 +28,7 @@ _ANGLE, _LENGTH = 1e-3, 1e-3  # rad, m, of free directions
 _ANGLE_RATE, _SPEED = 2e-2, 2e-2  # rad/s, m/s
 _FOOT, _FOOT_SPEED = 3e-6, 1e-3  # m, m/s
 _ROTOR, _ROTOR_RATE = 2e-3, 0.1  # rad, rad/s
-_MEMORY = {"attitude": 1e-3, "velocity": 3e-2, "integral": 0.1, "force": 2.0}  # of the controller: rad, rad/s, …
+_MEMORY = {"attitude": 1e-3, "velocity": 3e-2, "integral": 0.1, "internal": 2.0}  # of the controller: rad, rad/s, …
 _PROBE = 8  # periods after which a drive's memory has seen what it will
 _SILENT = 1e-9  # memory that moves by less has no part
 
@@ -60,7 +60,7 @@ class StandingSection:
         self._system, self._origin = system, origin
         self._ticks, common = hyper_period(system)
         self.period = 1.0 / common
-        self._at = origin["now_ns"] * int(common) // 10**9  # hyper-periods so far
+        self._at = round(origin["now_ns"] * common / 1e9)  # hyper-periods so far
         self._k = 0
         world = system.world
         self._model = world.model

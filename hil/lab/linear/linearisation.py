@@ -1,0 +1,117 @@
+"""The closed loop at one operating point as a linear map over a period: its modes, and what they are made of."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from hil.lab.linear.delay_model import Array, DelayModel, recurrence
+from hil.lab.linear.section import Section, responses
+
+# 1/s. A slower drift cannot be told from none: the feet stay where they are put, and so do some integrals.
+STILL = 0.1
+_TAIL = 4  # periods at the end in which nothing new can arrive
+_ABOVE_NOISE = 1.5
+_SHARE = 0.04  # smallest participation worth telling
+
+
+@dataclass(frozen=True)
+class Mode:
+    """eigenvalue: over one period. growth [1/s], frequency [Hz]; shares: participation by what takes part, largest
+    first, adding up to 1."""
+
+    eigenvalue: complex
+    growth: float
+    frequency: float
+    shares: tuple[tuple[str, float], ...]
+
+    @property
+    def still(self) -> bool:
+        """Whether it neither grows nor fades as far as one can tell."""
+        return abs(self.growth) < STILL and self.frequency < STILL
+
+    @property
+    def damping(self) -> float:
+        """Damping ratio."""
+        size = math.hypot(self.growth, 2.0 * math.pi * self.frequency)
+        return -self.growth / size if size > 0.0 else 0.0
+
+    def told(self, most: int = 4) -> str:
+        """Who takes part, in words."""
+        return ", ".join(f"{name} {100 * share:.0f} %" for name, share in self.shares[:most] if share >= _SHARE)
+
+    def record(self) -> dict[str, Any]:
+        return {
+            "eigenvalue": [self.eigenvalue.real, self.eigenvalue.imag],
+            "growth": self.growth,
+            "frequency": self.frequency,
+            "damping": self.damping,
+            "participation": {name: share for name, share in self.shares if share >= 0.01},
+        }
+
+
+@dataclass(frozen=True)
+class Linearisation:
+    """names: of the states. noise: of the identified matrices' entries in displacements' sizes, what rounding and
+    curvature leave. memory: periods for which something is under way."""
+
+    model: DelayModel
+    names: tuple[str, ...]
+    noise: float
+    memory: int
+
+    @classmethod
+    def of(cls, section: Section, delay: float, scale: float = 1.0) -> Linearisation:
+        """From displacements of ``section``'s states. ``delay``: longest way of data through the loop, s."""
+        periods = math.ceil(delay / section.period) + 4 + _TAIL
+        matrices = recurrence(responses(section, periods, scale))
+        noise = float(np.abs(matrices[-_TAIL:]).max())
+        floor = _ABOVE_NOISE * noise
+        model = DelayModel.of(matrices, section.period, max(floor, 1e-12))
+        above = np.abs(matrices).max(axis=(1, 2)) > floor
+        return cls(model, section.names, noise, int(np.flatnonzero(above)[-1]))
+
+    @cached_property
+    def modes(self) -> tuple[Mode, ...]:
+        """By falling growth; of a pair of conjugates the one above the real axis."""
+        values, _, shares = self.model.modes()
+        groups = [group(name) for name in self.names] + ["data under way"]
+        found = []
+        for value, share in zip(values, shares.T, strict=True):
+            if value.imag < -1e-12 or abs(value) < 1e-6:
+                continue
+            total: dict[str, float] = {}
+            for name, part in zip(groups, share, strict=True):
+                total[name] = total.get(name, 0.0) + float(part)
+            exponent = np.log(complex(value)) / self.model.period
+            ranked = sorted(total.items(), key=lambda item: -item[1])
+            frequency = abs(exponent.imag) / (2.0 * math.pi)
+            found.append(Mode(complex(value), float(exponent.real), float(frequency), tuple(ranked)))
+        return tuple(found)
+
+    @property
+    def dominant(self) -> Mode:
+        """The one that fades last, or grows fastest, among those that do."""
+        return next(mode for mode in self.modes if not mode.still)
+
+    @property
+    def growth(self) -> float:
+        """Of the dominant mode, 1/s: the loop is stable when it is negative."""
+        return self.dominant.growth
+
+    @property
+    def eigenvalues(self) -> Array:
+        return np.array([mode.eigenvalue for mode in self.modes])
+
+
+def group(name: str) -> str:
+    """What a state belongs to: a direction with its speed, a drive's filters, …"""
+    if " drive's " in name:
+        return name.partition("'s ")[0]
+    if name.startswith("controller's velocity"):
+        return "controller's velocity filters"
+    return name.removesuffix(" speed")
