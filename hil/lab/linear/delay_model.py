@@ -35,10 +35,30 @@ def recurrence(responses: Array) -> Array:
     return matrices
 
 
-def memory(matrices: Array, floor: float) -> int:
-    """Number of periods back that matter: the largest j whose A_j is above ``floor``, entry by entry."""
-    above = np.flatnonzero(np.abs(matrices).max(axis=(1, 2)) > floor)
-    return int(above[-1]) if len(above) else 0
+def refined(responses: Array, matrices: Array, floor: float) -> Array:
+    """The A_j by least squares over all periods at once, those whose entries are all within ``floor`` being zero.
+
+    One after the other, each inherits the rounding errors of those before; with the zeros known there are many more
+    equations than unknowns.
+    """
+    periods, n, _ = responses.shape
+    support = [j for j in range(periods) if j == 0 or np.abs(matrices[j]).max() > floor]
+    known = np.concatenate([np.eye(n)[None], responses])  # Y(0), Y(1), …
+    past = np.zeros((len(support) * n, periods * n))
+    for row, j in enumerate(support):
+        for k in range(j, periods):
+            past[row * n : (row + 1) * n, k * n : (k + 1) * n] = known[k - j]
+    after = responses.transpose(1, 0, 2).reshape(n, periods * n)
+    found = scipy.linalg.lstsq(past.T, after.T, lapack_driver="gelsy")[0].T
+    result = np.zeros_like(matrices)
+    for row, j in enumerate(support):
+        result[j] = found[:, row * n : (row + 1) * n]
+    return result
+
+
+def memory(matrices: Array) -> int:
+    """Number of periods back that matter: the largest j whose A_j is not zero."""
+    return int(np.flatnonzero(np.abs(matrices).max(axis=(1, 2)))[-1])
 
 
 @dataclass(frozen=True)
@@ -55,11 +75,10 @@ class DelayModel:
     @classmethod
     def of(cls, matrices: Array, period: float, floor: float) -> DelayModel:
         """From the A_j; combinations of states whose effect is below ``floor`` are left out."""
-        n, m = matrices.shape[1], memory(matrices, floor)
+        n, m = matrices.shape[1], memory(matrices)
         if m == 0:
             return cls(matrices[0].copy(), n, period)
-        late = matrices[1 : m + 1].copy()
-        late[np.abs(late).max(axis=(1, 2)) <= floor] = 0.0  # periods in which nothing arrives
+        late = matrices[1 : m + 1]
         _, values, rows = np.linalg.svd(late.reshape(m * n, n), full_matrices=False)
         r = max(int(np.count_nonzero(values > floor)), 1)
         combine = rows[:r]

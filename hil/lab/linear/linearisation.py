@@ -9,11 +9,12 @@ from typing import Any
 
 import numpy as np
 
-from hil.lab.linear.delay_model import Array, DelayModel, recurrence
+from hil.lab.linear.delay_model import Array, DelayModel, memory, recurrence, refined
 from hil.lab.linear.section import Section, responses
 
 # 1/s. A slower drift cannot be told from none: the feet stay where they are put, and so do some integrals.
 STILL = 0.1
+FLOOR = float(__import__("os").environ.get("FLOOR","1e-3"))
 _TAIL = 4  # periods at the end in which nothing new can arrive
 _ABOVE_NOISE = 1.5
 _SHARE = 0.04  # smallest participation worth telling
@@ -68,12 +69,12 @@ class Linearisation:
     def of(cls, section: Section, delay: float, scale: float = 1.0) -> Linearisation:
         """From displacements of ``section``'s states. ``delay``: longest way of data through the loop, s."""
         periods = math.ceil(delay / section.period) + 4 + _TAIL
-        matrices = recurrence(responses(section, periods, scale))
+        found = responses(section, periods, scale)
+        matrices = recurrence(found)
         noise = float(np.abs(matrices[-_TAIL:]).max())
-        floor = _ABOVE_NOISE * noise
-        model = DelayModel.of(matrices, section.period, max(floor, 1e-12))
-        above = np.abs(matrices).max(axis=(1, 2)) > floor
-        return cls(model, section.names, noise, int(np.flatnonzero(above)[-1]))
+        matrices = refined(found, matrices, _ABOVE_NOISE * noise)
+        model = DelayModel.of(matrices, section.period, FLOOR)
+        return cls(model, section.names, noise, memory(matrices))
 
     @cached_property
     def modes(self) -> tuple[Mode, ...]:
