@@ -21,7 +21,7 @@ from collections.abc import Sequence  # noqa: E402
 from pathlib import Path  # noqa: E402
 from typing import Any, NoReturn  # noqa: E402
 
-from hil.commands import bus_command, joint_command  # noqa: E402
+from hil.commands import bus_command, export, joint_command  # noqa: E402
 from hil.commands.arguments import natural  # noqa: E402
 from hil.errors import EXIT_EMULATION, EmulationError, HilError, UserError  # noqa: E402
 
@@ -110,8 +110,13 @@ def _parser() -> argparse.ArgumentParser:
     scenarios.set_defaults(command=_scenarios)
 
     bench = commands.add_parser("bench", help="measure speed, memory and start-up on this machine")
-    bench.add_argument("what", nargs="?", choices=("bus",), help="only the bus, beside python-can's virtual ones")
-    bench.add_argument("--duration", metavar="S", help="of each measurement: simulated time (5s), of the bus real (1s)")
+    bench.add_argument(
+        "what", nargs="?", choices=("bus", "joint"),
+        help="only the bus, beside python-can's virtual ones; or only one drive's interrupt, beside its law alone",
+    )  # fmt: skip
+    bench.add_argument(
+        "--duration", metavar="S", help="of each measurement: simulated time (5s), of bus and joint real (1s)"
+    )
     bench.add_argument("--json", action="store_true")
     bench.set_defaults(command=_bench)
 
@@ -132,6 +137,7 @@ def _parser() -> argparse.ArgumentParser:
     replay.add_parser(commands)
     protection.add_parser(commands)
     eds.add_parser(commands)
+    export.add_parser(commands)
     bus_command.add_parser(commands)
     return parser
 
@@ -325,7 +331,7 @@ def _bench(options: argparse.Namespace) -> int:
     from robots.quantities import parse_quantity
 
     if options.duration is None:
-        options.duration = "1s" if options.what == "bus" else "5s"
+        options.duration = "5s" if options.what is None else "1s"
     try:
         duration = parse_quantity(_with_second(options.duration), "s")
     except ValueError as error:
@@ -336,6 +342,10 @@ def _bench(options: argparse.Namespace) -> int:
         from hil.commands.bench_bus import bench_bus
 
         return bench_bus(duration, as_json=options.json)
+    if options.what == "joint":
+        from hil.commands.bench_joint import bench_joint
+
+        return bench_joint(duration, as_json=options.json)
     from hil.commands.bench import bench
 
     return bench(duration, as_json=options.json)

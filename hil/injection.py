@@ -192,7 +192,7 @@ class Injector:
     def restore(self, state: dict[str, Any]) -> None:
         self._scheduled = state["scheduled"]
         self._values, self._before = dict(state["values"]), dict(state["before"])
-        self.injected[:] = state["injected"]
+        self.injected = list(state["injected"])
 
 
 def _configured(scenario: Scenario, key: str, default: Any) -> Any:

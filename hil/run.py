@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from importlib import metadata
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from hil.backends.lifecycle import Family
@@ -43,11 +44,11 @@ class Request:
     interfaces: Mapping[str, str] = field(default_factory=dict)  # SocketCAN interfaces to use in place of others
     report: bool = True
     journal: Any = None  # a hil.record.journal.Journal to write to instead of the one of the directory
+    signals: bool = True  # whether SIGINT, SIGTERM and SIGHUP end the run in order; else they are the caller's
     log_formats: tuple[str, ...] = ()  # of each bus, beside candump's: of bus.logs.FORMATS
-    signals: bool = True  # end in order on SIGINT, SIGTERM and SIGHUP; only the main thread can
 
 
-@dataclass
+@dataclass(repr=False)
 class Outcome:
     """What came out; ``record`` is what run.json holds."""
 
@@ -58,6 +59,24 @@ class Outcome:
     @property
     def stable(self) -> bool:
         return self.exit_status == EXIT_STABLE
+
+    @property
+    def reason(self) -> str:
+        """Why the verdict is what it is, one sentence."""
+        return self.record["reason"]
+
+    @property
+    def metrics(self) -> dict[str, Any]:
+        """Numbers that describe the run, SI units; None where one has no meaning in it."""
+        return self.record["metrics"]
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 of all that was recorded."""
+        return self.record["log_digest"]
+
+    def __repr__(self) -> str:
+        return f"<{self.record['scenario']}, seed {self.record['seed']}, {self.record['verdict']}: {self.reason}>"
 
 
 @dataclass
@@ -245,13 +264,20 @@ def run(
         recorder = assembly.recorder
         if failure is None:
             system.journal.write({"end_ns": system.now_ns, "digest": recorder.digest()})
-    return _conclude(request, system, recorder, failure, elapsed, start_up, memory, assembly.world, link)
+    return conclude(request, system, recorder, failure, elapsed, start_up, memory, assembly.world, link)
 
 
-def _conclude(
-    request: Request, system: Any, recorder: Any, failure: HilError | None, elapsed: float, start_up: float,
-    memory: dict[str, int], world: Any, link: dict[str, Any] | None,
+def conclude(
+    request: Request, system: Any, recorder: Any, failure: HilError | None, elapsed: float, start_up: float = 0.0,
+    memory: Mapping[str, int] = MappingProxyType({}), world: Any = None, link: dict[str, Any] | None = None,
 ) -> Outcome:  # fmt: skip
+    """Judge the run as far as it has come, and write its record if it has a directory.
+
+    Args:
+        elapsed: wall-clock time since its first tick, s.
+        memory: bytes by process.
+        world: for a video.
+    """
     from hil.analysis.bus_statistics import bus_statistics
     from hil.analysis.verdict import judge
 
@@ -291,9 +317,14 @@ def _conclude(
         "versions": versions(),
         "configuration": scenario.model_dump(mode="json"),
     }
+    outcome = Outcome(record, status, tables)
     if request.out is not None:
-        _write_directory(request, record, tables, world)
-    return Outcome(record, status, tables)
+        if request.video and len(tables["world"]):
+            from hil.report.video import write_video
+
+            write_video(request.out, world, tables["world"])
+        write_record(request.out, scenario, outcome, request.report)
+    return outcome
 
 
 def origin(request: Request) -> dict[str, Any]:
@@ -307,25 +338,20 @@ def origin(request: Request) -> dict[str, Any]:
     }
 
 
-def _write_directory(request: Request, record: dict[str, Any], tables: dict[str, Any], world: Any) -> None:
-    out = request.out
-    assert out is not None
+def write_record(directory: Path, scenario: Scenario, outcome: Outcome, report: bool = True) -> None:
+    """Write what stands in a run's directory beside its signals, logs and journal: DBC files, verdict, report."""
     from bus.dbc import dbc
 
-    robot = description.load(request.scenario.robot)
+    robot = description.load(scenario.robot)
     for bus in robot.buses:
-        (out / f"{bus.name}.dbc").write_text(dbc(robot, bus), encoding="utf-8")
-    partial = out / "run.json.part"
-    partial.write_text(json.dumps(record, indent=2), encoding="utf-8")
-    partial.replace(out / "run.json")  # never half a record
-    if request.video and len(tables["world"]):
-        from hil.report.video import write_video
-
-        write_video(out, world, tables["world"])
-    if request.report and len(tables["world"]) > 10:
+        (directory / f"{bus.name}.dbc").write_text(dbc(robot, bus), encoding="utf-8")
+    partial = directory / "run.json.part"
+    partial.write_text(json.dumps(outcome.record, indent=2), encoding="utf-8")
+    partial.replace(directory / "run.json")  # never half a record
+    if report and len(outcome.tables["world"]) > 10:
         from hil.report.page import write_report
 
-        write_report(out, record, tables)
+        write_report(directory, outcome.record, outcome.tables)
 
 
 def versions() -> dict[str, str]:

@@ -61,12 +61,19 @@ def builtin_names() -> list[str]:
     return sorted(f.name[:-5] for f in files if f.name.endswith(".toml"))
 
 
-def load(name: str, settings: typing.Sequence[str] = ()) -> Scenario:
-    """The scenario ``name`` (built in, or the path of a TOML file) with ``settings`` ("key=value") applied.
+def load(name: str, settings: typing.Sequence[str] | Mapping[str, Any] = ()) -> Scenario:
+    """The scenario ``name`` (built in, or the path of a TOML file) with ``settings`` applied: "key=value", or values
+    by key, texts as on a command line.
 
     Raises UserError with the key's path and what would be right.
     """
     data, source = _read(name)
+    if isinstance(settings, Mapping):
+        for key, value in settings.items():
+            if not isinstance(key, str) or not all(part.strip() for part in key.split(".")):
+                raise UserError(f"{key!r} is no key, for example 'link.command.delay'")
+            _assign(data, key.strip(), _literal(value.strip()) if isinstance(value, str) else value)
+        return complete(data, source)
     for setting in settings:
         key, separator, text = setting.partition("=")
         if not separator or not all(part.strip() for part in key.split(".")):

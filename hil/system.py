@@ -416,6 +416,7 @@ class System:
             "gateway": self.gateway.snapshot(),
             "faults": self.faults.snapshot(),
             "injector": self.injector.snapshot(),
+            "monitor": None if self.monitor is None else self.monitor.snapshot(),
         }
 
     def restore(self, state: dict[str, Any]) -> None:
@@ -438,5 +439,7 @@ class System:
         self.gateway.restore(state["gateway"])
         self.faults.restore(state["faults"])
         self.injector.restore(state["injector"])
+        if self.monitor is not None:
+            self.monitor.restore(state["monitor"])
 
 

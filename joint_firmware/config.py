@@ -45,6 +45,16 @@ class TorqueGains(Config):
     kd: TorquePerRate = 0.0  # N m s/rad at the joint
 
 
+def _completed(by: TorqueGains) -> BeforeValidator:
+    """A table that names some gains leaves the others as ``by`` has them."""
+    written = {"kp": by.kp, "ki": by.ki, "kd": f"{by.kd!r} N m s/rad"}
+    return BeforeValidator(lambda value: {**written, **value} if isinstance(value, dict) else value)
+
+
+_STANCE = TorqueGains(kp=3.0, ki=0.0, kd="10 N m s/rad")  # type: ignore[arg-type]
+_SWING = TorqueGains(kp=4.0, ki=20.0, kd="10 N m s/rad")  # type: ignore[arg-type]
+
+
 class GainChange(Config):
     """What differs for one joint."""
 
@@ -84,8 +94,8 @@ class FirmwareConfig(Config):
     velocity_estimator: Literal["filter", "M", "T", "M/T"] = "filter"  # joint_firmware.laws.velocity
     velocity_cutoff: Hertz = 200.0  # filter: first order, of differenced encoders
     velocity_window: Seconds = 0.002  # M, M/T: gate time
-    stance: TorqueGains = TorqueGains(kp=3.0, ki=0.0, kd="10 N m s/rad")  # type: ignore[arg-type]
-    swing: TorqueGains = TorqueGains(kp=4.0, ki=20.0, kd="10 N m s/rad")  # type: ignore[arg-type]
+    stance: Annotated[TorqueGains, _completed(_STANCE)] = _STANCE
+    swing: Annotated[TorqueGains, _completed(_SWING)] = _SWING
     joints: JointsGains = Field(default_factory=dict)
     torque_rate_cutoff: Hertz = 60.0  # PD_f, valve: of the sensed torque's derivative; not printed in Kim 2018
     observer_cutoff: Hertz = 15.0  # PD_m+DOB: Kim 2018 §5.3.2

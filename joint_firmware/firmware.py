@@ -144,6 +144,20 @@ class JointFirmware:
         levels = self.law.levels(self._counts, memory.x_array, memory.u_array, memory.p_array)
         return [float(level) for level in levels.full().ravel()]
 
+    def keep_peaks(self, compile: Callable[[ca.Function], ca.Function] = _identity) -> np.ndarray:
+        """Keep the largest of ``levels`` of every tick from now on. Returns them, in an array that goes on changing."""
+        levels = np.zeros(self.law.levels.numel_out(0))
+        peaks = np.zeros_like(levels)
+        level, law_alone = self._law.bind(compile(self.law.levels), levels), self._evaluate
+
+        def evaluate() -> None:
+            level()
+            np.maximum(peaks, levels, out=peaks)
+            law_alone()
+
+        self._evaluate = evaluate
+        return peaks
+
     @property
     def counter(self) -> int:
         """Counter of the command frame in force, 0 when none is."""
@@ -151,7 +165,7 @@ class JointFirmware:
 
     @property
     def malformed(self) -> int:
-        """Frames that were ignored because their length did not fit."""
+        """Frames that were ignored because their length did not fit, or their set-point made no sense."""
         return self._malformed + self._communication.malformed
 
     def pin(self, number: int) -> int:

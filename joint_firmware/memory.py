@@ -41,6 +41,19 @@ class LawMemory:
         self.x, self.x_next = _view(self.x_array), _view(self.x_next_array)
         self.u, self.y = _view(self.u_array), _view(self.y_array)
 
+    def bind(self, function: ca.Function, result: np.ndarray) -> Callable[[], None]:
+        """A call of ``function``, which takes what the law takes, into ``result``."""
+        buffer, evaluate = function.buffer()
+        for index, array in enumerate((self.counts_array, self.x_array, self.u_array, self.p_array)):
+            buffer.set_arg(index, _view(array))  # type: ignore[call-arg, arg-type]
+        buffer.set_res(0, _view(result))  # type: ignore[call-arg, arg-type]
+
+        def call() -> None:
+            evaluate()
+
+        call.memory = buffer, result  # type: ignore[attr-defined]  # CasADi keeps addresses only
+        return call
+
     def clear(self) -> None:
         """As after power-on; parameters stay."""
         self.x_array[:] = self.u_array[:] = self.y_array[:] = 0.0

@@ -35,7 +35,7 @@ class ProtectionConfig(Config):
     over_current_time: _Time = Field(default=0.001, description="that it may last")
     current_error: _Share = Field(
         default=0.2,
-        description="measured less demanded current, of the limit, while half of the supply is left to drive it",
+        description="measured less demanded current, of the limit, where the supply has enough voltage for it",
     )
     current_error_time: _Time = Field(default=0.02, description="that it may last")
 
@@ -58,16 +58,18 @@ class ProtectionConfig(Config):
         default=0.75, description="supply, of the actuator's nominal voltage"
     )
     over_voltage: _Share = Field(default=1.25, description="supply, of the actuator's nominal voltage")
-    voltage_time: _Time = Field(default=0.001, description="that it may last")
+    # a DC link sags while the power lasts that it has not; from above, its capacitors do not have the time
+    under_voltage_time: _Time = Field(default=0.005, description="that it may last")
+    over_voltage_time: _Time = Field(default=0.001, description="that it may last")
 
     over_temperature: _Share = Field(
         default=1.0, description="rise of the winding over 25 °C, sensed or computed, of what its insulation permits"
     )
     temperature_time: _Time = Field(default=0.01, description="that it may last")
-    # Adiabatic, and from the housing of a motor that has carried its continuous current: half is left
+    # From the heat of the continuous current half of the permitted rise is left where the housing is half way
     overload: _Share = Field(
         default=0.5,
-        description="heat beyond that of the continuous current (i²t), of what warms the winding alone to its limit",
+        description="rise of the winding by full current (i²t), of what its insulation permits over 25 °C",
     )
 
     # What no controller asks for that has not lost its mind; the torque limit is for those that have not

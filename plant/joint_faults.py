@@ -83,7 +83,7 @@ class FaultyJoints:
         elif key == "heating":
             _keep(self._warmer, joint, round(value / pins.KELVIN_PER_COUNT))
         elif key == "isr_time":
-            _keep(self._late, joint, round(1e6 * value))
+            self._late[joint] = round(1e6 * value)
         elif key == "supply":
             self._bank.supply[joint] = value * of.actuator.supply_voltage
         elif key == "spring":
@@ -92,6 +92,10 @@ class FaultyJoints:
             self._scale(joint, ActuatorModel.of(of.actuator).friction, value)
         else:
             raise KeyError(key)
+        self._look()
+
+    def _look(self) -> None:
+        """Find out whether there is anything to do on the pins."""
         self.on_pins = bool(self._faults or self._warmer or self._late)
 
     def _scale(self, joint: int, names: Sequence[str], share: float) -> None:
@@ -106,8 +110,11 @@ class FaultyJoints:
             inputs[fault.joint, fault.pin] = fault.reading(int(inputs[fault.joint, fault.pin]), self._noise.normal)
         for joint, counts in self._warmer.items():
             inputs[joint, pins.TEMPERATURE_ADC] += counts
-        for joint, time in self._late.items():
+        for joint, time in tuple(self._late.items()):
             inputs[joint, pins.ISR_TIMER] = time
+            if not time:  # written once: no sensor model writes this pin
+                del self._late[joint]
+                self._look()
 
     def snapshot(self) -> Any:
         """What the bank's own snapshot does not hold."""
@@ -119,7 +126,7 @@ class FaultyJoints:
         self._noise.restore(noise)
         self._faults = {(fault["joint"], fault["pin"]): _Fault(**fault) for fault in faults}
         self._warmer, self._late = dict(warmer), dict(late)
-        self.on_pins = bool(self._faults or self._warmer or self._late)
+        self._look()
 
 
 def _keep(table: dict[int, int], joint: int, value: int) -> None:

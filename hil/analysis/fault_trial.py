@@ -136,6 +136,23 @@ class TrialBench:
         config = self._system.scenario.firmware.of_joint(self.drive.name)
         self.drive.configure(config=config, joint=self.robot.joints[self._joint])
 
+    def inject(self, key: str, value: Any) -> None:
+        self._system.inject(key, value)
+
+    def cut_off(self) -> None:
+        """Let no command reach the drive any more."""
+        self._system.inject("link.command.loss", 1.0)
+
+    def snapshot(self) -> Any:
+        return self._system.snapshot()
+
+    def restore(self, state: Any) -> None:
+        self._system.restore(state)
+
+    def truth(self) -> bytes:
+        """The physical truth now, to the bit."""
+        return self._system.world.truth().tobytes()
+
     def go_on(self, seconds: float) -> None:
         self._system.run_until(self._system.now_ns + round(seconds * 1e9))
 

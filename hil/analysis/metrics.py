@@ -47,13 +47,15 @@ def derived_metrics(run: Derived, window: float) -> Metrics:
 
 
 def oscillations(run: Derived, window: float) -> dict[str, Oscillation | None]:
-    """Dominant oscillation at the end of the run of the true CoM errors [m] and orientation errors [rad]."""
+    """Dominant oscillation at the end of the run of the true errors of CoM [m], orientation [rad] and internal force
+    [N]."""
     time = run.controller.seconds
     signals = {
         "com.x": run.com_error[:, 0],
         "com.z": run.com_error[:, 1],
         "roll": run.orientation_error[:, 0],
         "pitch": run.orientation_error[:, 1],
+        "internal_force": run.internal_force_true - run.controller["internal_force_reference"],
     }
     settled = run.settled(run.controller)
     return {name: dominant_oscillation(time[settled], values[settled], window) for name, values in signals.items()}

@@ -32,6 +32,10 @@ class VerdictConfig(Config):
     fall_height: Gain = 0.6  # share of the CoM's height at the start below which the robot has fallen
     growth_rate: Gain = 0.2  # 1/s of an oscillation
     growth_amplitude: Annotated[Metres, Field(ge=0)] = 0.005  # m or rad, from which growth counts
+    # The same of the internal force, as a share of the one to be held: a tenth of what it can lose before a foot slips,
+    # as growth_amplitude is a tenth of com_error. Hume, 229 N, its feet 0.5 m by 0.2 m apart on 45° panels of friction
+    # 0.6, stands by 64 N of 100 N: T/N there is sqrt((114.5 − 29.7)²/2 + 11.9²) / ((114.5 + 29.7)/√2) = 0.6.
+    growth_force: Gain = 0.04
 
 
 _ON = 3  # the controller's phase in which its torques are whole (central_controller.controller.Phase)
@@ -142,8 +146,11 @@ def judge(tables: Mapping[str, Signals], scenario: Scenario, stopped: str | None
         if entry is None or entry["growth_error"] is None:
             continue
         oscillation = Oscillation(**entry)
-        if oscillation.grows(limits.growth_rate, limits.growth_amplitude):
-            what = f"growing oscillation of {name} at {oscillation.frequency:.1f} Hz"
+        from_amplitude = limits.growth_amplitude
+        if name == "internal_force":
+            from_amplitude = limits.growth_force * abs(scenario.controller.internal_force.reference) or math.inf
+        if oscillation.grows(limits.growth_rate, from_amplitude):
+            what = f"growing oscillation of {name.replace('_', ' ')} at {oscillation.frequency:.1f} Hz"
             rate = f"{oscillation.growth:.2f} 1/s (limit {limits.growth_rate:g} 1/s)"
             return Verdict(False, f"{what}, {rate}", metrics)
     if scenario.duration <= limits.settle:

@@ -49,7 +49,8 @@ def _status(process: Any) -> int | None:
 class Family:
     """The processes of a run: started together, watched, and ended together.
 
-    signals: whether SIGINT, SIGTERM and SIGHUP are noted, for ``check`` to raise; only the main thread can.
+    Args:
+        signals: whether SIGINT, SIGTERM and SIGHUP end the run in order; else they are the caller's.
     """
 
     def __init__(self, signals: bool = True) -> None:

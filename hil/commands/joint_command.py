@@ -13,7 +13,7 @@ from hil.errors import EmulationError, UserError
 
 if TYPE_CHECKING:
     from hil.scenario import Scenario
-    from plant.bench import Load
+    from plant.bench import Bench, Load
     from robots.description import Robot
 
 _PHYSICS = 3000.0  # Hz, at least
@@ -97,11 +97,12 @@ def _scenario(options: argparse.Namespace) -> Scenario:
     from hil.scenario import load
     from robots.quantities import parse_quantity
 
-    allowed = ("firmware.", "sensors.", "world.friction_scale=", "world.rate=")
+    allowed = ("firmware.", "sensors.", "joint.", "world.friction_scale=", "world.rate=")
     for setting in options.settings:
         if not setting.strip().startswith(allowed):
             raise UserError(
-                f"--set {setting}: a joint alone has firmware.…, sensors.…, world.friction_scale and world.rate"
+                f"--set {setting}: a joint alone has firmware.…, sensors.…, joint.NAME.…, world.friction_scale and "
+                "world.rate"
             )
     named = {setting.partition("=")[0].strip() for setting in options.settings}
     settings = [f"robot={options.robot}", *options.settings]
@@ -121,6 +122,20 @@ def _scenario(options: argparse.Namespace) -> Scenario:
         return load("stand", settings)
     except UserError as error:
         raise UserError(str(error).removeprefix("stand: ")) from None  # which scenario does not matter
+
+
+def _set_faults(bench: Bench, joint: str, scenario: Scenario) -> None:
+    """What is wrong with the joint from the start. Raises UserError for a fault that a joint alone cannot have."""
+    for name, faults in scenario.joint.items():
+        if name != joint:
+            raise UserError(f"--set joint.{name}: the joint here is {joint}")
+        for key in faults.model_fields_set:
+            try:
+                bench.faults.set(0, key, getattr(faults, key))
+            except KeyError:
+                raise UserError(
+                    f"--set joint.{name}.{key}: a joint alone has no controller; send such commands yourself"
+                ) from None
 
 
 def _seconds(text: str | None) -> float | None:
@@ -168,6 +183,7 @@ def _joint(options: argparse.Namespace) -> int:
         raise UserError(f"--load {options.load}: {error}") from None
     except NoModelError as error:
         raise UserError(f"--robot {options.robot}: joint {joint.name}: {error}") from None
+    _set_faults(bench, joint.name, scenario)
     bus = open_bus(options.can)
     previous: dict[int, Any] = {}
     try:

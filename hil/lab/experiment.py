@@ -97,7 +97,6 @@ class Experiment:
         """Everything at this moment, with the record so far; for this experiment only."""
         return {
             "system": self.system.snapshot(),
-            "monitor": self.system.monitor.snapshot(),
             "recorder": self.recorder.snapshot(),
         }
 
@@ -105,7 +104,6 @@ class Experiment:
         """Go back to ``snapshot``."""
         self.system.restore(state["system"])
         self.system.requests.clear()
-        self.system.monitor.restore(state["monitor"])
         self.recorder.restore(state["recorder"])
 
 

@@ -62,6 +62,21 @@ class Digests(Journal):
             self.at[entry["time_ns"]] = entry["digest"]
 
 
+class Entries(Journal):
+    """Keeps a run's entries in memory."""
+
+    def __init__(self) -> None:
+        super().__init__(None)
+        self.entries: list[dict[str, Any]] = []
+
+    @property
+    def is_open(self) -> bool:
+        return True
+
+    def write(self, entry: dict[str, Any]) -> None:
+        self.entries.append(entry)
+
+
 def frame_entry(time_ns: int, bus: str, port: int, frame: Frame) -> dict[str, Any]:
     """The entry of a frame that a tool sent."""
     return {"time_ns": time_ns, "bus": bus, "port": port, "frame": {**frame._asdict(), "data": frame.data.hex()}}

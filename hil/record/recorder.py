@@ -61,14 +61,16 @@ class RowRecorder:
         self._taken = len(self)
         return [part for part in parts if len(part[0])]
 
-    def rewind(self, count: int) -> None:
-        """Forget all rows but the first ``count``, which have been taken."""
-        block, self._count = divmod(count, _BLOCK)
-        blocks = [*self._full, (self._times, self._rows)]
-        if block and not self._count:  # the one before, full to its end
-            block, self._count = block - 1, _BLOCK
-        self._full, (self._times, self._rows) = blocks[:block], blocks[block]
-        self._taken = count
+    def snapshot(self) -> tuple[list[tuple[np.ndarray, np.ndarray]], np.ndarray, np.ndarray, int]:
+        """All rows so far; full blocks are shared, nothing writes to them any more."""
+        return list(self._full), self._times[: self._count].copy(), self._rows[: self._count].copy(), self._taken
+
+    def restore(self, state: tuple[list[tuple[np.ndarray, np.ndarray]], np.ndarray, np.ndarray, int]) -> None:
+        full, times, rows, self._taken = state
+        self._full = list(full)
+        self._new_block()
+        self._count = len(times)
+        self._times[: self._count], self._rows[: self._count] = times, rows
 
     def table(self) -> Signals:
         """All rows so far, copied."""
@@ -170,28 +172,6 @@ class Recorder:
             total.update(name.encode() + b"\0" + lines.digest())
         return total.hexdigest()
 
-    def snapshot(self) -> dict[str, Any]:
-        """How far the record is. Only of a record without files: what is in a file stays there."""
-        if self._mcap is not None:
-            raise ValueError("a record that is being written to files cannot be taken back")
-        self.flush(self.flushed_ns)
-        return {
-            "rows": {name: len(channel) for name, channel in self._channels.items()},
-            "hashes": _copies(self._hashes),
-            "bus_hashes": [lines.copy() for lines in self._bus_hashes],
-            "flushed_ns": self.flushed_ns,
-        }
-
-    def restore(self, state: dict[str, Any]) -> None:
-        """Forget what has come since ``snapshot``: of this record, not of another."""
-        for name, count in state["rows"].items():
-            self._channels[name].rewind(count)
-        self._hashes = _copies(state["hashes"])
-        self._bus_hashes = [lines.copy() for lines in state["bus_hashes"]]
-        for frames in self._frames:
-            frames.clear()
-        self.flushed_ns = state["flushed_ns"]
-
     def table(self, name: str) -> Signals:
         """All rows of a channel so far. Raises KeyError for a channel that was not announced."""
         return self._channels[name].table()
@@ -199,6 +179,27 @@ class Recorder:
     def tables(self) -> dict[str, Signals]:
         """All channels so far, by name."""
         return {name: channel.table() for name, channel in self._channels.items()}
+
+    def snapshot(self) -> dict[str, Any]:
+        """The record so far. Raises ValueError for one that is written to a directory: what is written is written."""
+        if self._mcap is not None:
+            raise ValueError("only a record that is kept in memory can go back")
+        return {
+            "channels": {name: channel.snapshot() for name, channel in self._channels.items()},
+            "frames": [list(frames) for frames in self._frames],
+            "hashes": {name: (times.copy(), rows.copy()) for name, (times, rows) in self._hashes.items()},
+            "bus_hashes": [lines.copy() for lines in self._bus_hashes],
+            "flushed_ns": self.flushed_ns,
+        }
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Continue from ``snapshot``; what came after it is forgotten."""
+        for name, channel in self._channels.items():
+            channel.restore(state["channels"][name])
+        self._frames = [list(frames) for frames in state["frames"]]
+        self._hashes = {name: (times.copy(), rows.copy()) for name, (times, rows) in state["hashes"].items()}
+        self._bus_hashes = [lines.copy() for lines in state["bus_hashes"]]
+        self.flushed_ns = state["flushed_ns"]
 
     def close(self) -> None:
         """Flush, complete the MCAP file with its summary, and close all files. A second call does nothing."""
@@ -211,7 +212,3 @@ class Recorder:
         for log in itertools.chain(*self._other_logs):
             log.close()
         self._logs, self._other_logs = [], [[] for _ in self._buses]
-
-
-def _copies(hashes: dict[str, tuple[Any, Any]]) -> dict[str, tuple[Any, Any]]:
-    return {name: (times.copy(), rows.copy()) for name, (times, rows) in hashes.items()}

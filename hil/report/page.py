@@ -10,23 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from hil.record.signals import Signals
+from hil.report.html import document, folded, picture, verdict
 from robots import description
-
-_STYLE = """
-body{font:16px/1.5 system-ui,sans-serif;margin:0 auto;max-width:60rem;padding:1rem;
-color:#1a1a1a;background:#fff}
-h1{font-size:1.5rem}h2{font-size:1.1rem;margin:2rem 0 0}img{width:100%;height:auto}
-.caption{margin:0 0 .3rem;color:#555;font-size:.9rem}
-.verdict{padding:.7rem 1rem;font-size:1.1rem}
-.stable{background:#e3f4e4;border-left:.5rem solid #2e8b3a}
-.unstable,.failed{background:#fbe5e3;border-left:.5rem solid #c0392b}
-table{border-collapse:collapse;margin-top:.5rem}
-td,th{padding:.2rem .8rem;text-align:left;border-bottom:1px solid #ddd}
-td.n{text-align:right;font-variant-numeric:tabular-nums}
-tr.beyond td{color:#c0392b;font-weight:600}
-pre{overflow-x:auto;font-size:.8rem}
-@media print{details{display:none}img{break-inside:avoid}}
-"""
 
 
 def _row(
@@ -105,31 +90,23 @@ def write_report(directory: Path, record: Mapping[str, Any], tables: Mapping[str
     injected = _faults(record["configuration"])
     injected += [f"{i['key']} = {i['value']} from {i['time_s']:.3f} s on" for i in record["injected"]]
     items = "".join(f"<li>{html.escape(text)}</li>" for text in injected) or "<li>nothing</li>"
-    plots = "".join(
-        f"<h2>{html.escape(title)}</h2><p class=caption>{html.escape(caption)}</p>"
-        f'<img alt="{html.escape(title)}" src="data:image/png;base64,{png}">'
-        for title, caption, png in draw(record, tables, directory)
-    )
+    plots = "".join(picture(*plot) for plot in draw(record, tables, directory))
     title = f"{record['scenario']}, seed {record['seed']}"
     about = html.escape(record["configuration"]["description"])
     rest = json.dumps({key: record[key] for key in ("versions", "metrics")}, indent=1)
     settle = record["configuration"]["limits"]["settle"]
-    page = f"""<!doctype html><html lang=en><meta charset=utf-8>
-<meta name=viewport content="width=device-width,initial-scale=1"><title>{html.escape(title)}</title>
-<style>{_STYLE}</style>
-<h1>{html.escape(title)}</h1>
-<p>{about}<br>{record["backend"]} backend, {record["clock"]} clock, {record["simulated_time"]:.2f} s simulated,
+    configuration = to_toml(record["configuration"])
+    simulated = f"{record['simulated_time']:.2f} s simulated"
+    body = f"""<p>{about}<br>{record["backend"]} backend, {record["clock"]} clock, {simulated},
 digest <code>{record["log_digest"][:16]}</code></p>
-<p class="verdict {record["verdict"]}"><b>{record["verdict"]}</b>: {html.escape(record["reason"])}</p>
+{verdict(record["verdict"], record["reason"])}
 <h2>Injected</h2><ul>{items}</ul>
 <h2>Key numbers</h2><p class=caption>From {settle:g} s on (grey in the plots: settling).
 Dash-dotted lines: injections while it ran.</p>{_numbers(record)}{plots}
 <h2>Waiting for the bus</h2><p class=caption>From the transmit queue to the start of the frame, beside the bound of
 response-time analysis for any offsets. After it comes the frame itself.</p>{statistics_table(record["bus"])}
-<details><summary>Exact configuration, a scenario file: --seed {record["seed"]} repeats the run</summary>
-<pre>{html.escape(to_toml(record["configuration"]))}</pre></details>
-<details><summary>Versions and all metrics</summary><pre>{html.escape(rest)}</pre></details>
-"""
+{folded(f"Exact configuration, a scenario file: --seed {record['seed']} repeats the run", configuration)}
+{folded("Versions and all metrics", rest)}"""
     path = directory / "report.html"
-    path.write_text(page, encoding="utf-8")
+    path.write_text(document(title, body), encoding="utf-8")
     return path

@@ -4,8 +4,8 @@
     C_h dT_h = (T_w − T_h) / R_wh − (T_h − 25 °C) / R_ha
 
 The sensor says how warm it is at power-on, in the model as well. i²t is the integral of i² − i_c², never below zero,
-with i_c the current that may flow for ever; its limit is a share of the heat that warms the winding alone by what its
-insulation permits.
+with i_c the current that may flow for ever. Its limit is what the full current adds to it until it has warmed the
+winding by a share of what its insulation permits.
 """
 
 from __future__ import annotations
@@ -44,6 +44,23 @@ def _hot(resistance: float, rise: float) -> float:
     return resistance * (1.0 + COPPER * rise)
 
 
+def _overload_limit(actuator: Actuator, rise: float) -> float:
+    """Integral of i² − i_c² until the full current has warmed the winding by ``rise`` K, A² s.
+
+    The winding warms towards the housing's temperature and what lies across the way to it; if that is not enough, the
+    housing has to warm for the rest.
+    """
+    motor, thermal = actuator.motor, actuator.thermal
+    assert motor is not None and thermal is not None
+    power = _hot(motor.resistance, thermal.winding_limit - AMBIENT) * actuator.current_limit**2
+    across = power * thermal.winding_to_housing
+    if across > rise:
+        time = -thermal.winding_time_constant * math.log(1.0 - rise / across)
+    else:
+        time = thermal.winding_time_constant + thermal.housing_capacity * (rise - across) / power
+    return time * max(actuator.current_limit**2 - continuous_current(actuator) ** 2, 0.01 * actuator.current_limit**2)
+
+
 class HeatWatch(Block):
     states = ("winding_temperature", "housing_temperature", "overload")
     parameters = (
@@ -62,7 +79,7 @@ class HeatWatch(Block):
             }  # fmt: skip
         rise = thermal.winding_limit - AMBIENT
         return values | {
-            "overload_limit": limits.overload * thermal.winding_capacity * rise / _hot(motor.resistance, rise),  # A² s
+            "overload_limit": _overload_limit(actuator, limits.overload * rise),
             "resistance": motor.resistance,
             "winding_heat": 1.0 / thermal.winding_capacity,  # K/J
             "winding_rate": 1.0 / (thermal.winding_to_housing * thermal.winding_capacity),  # 1/s

@@ -25,6 +25,7 @@ from robots.description import Joint
 
 _CURRENT_BLEND_S = 0.005  # time constant behind which measured and demanded current are compared
 _OBSERVER_RATE = 2 * math.pi * 10.0  # rad/s, of the torque that is not explained: below the springs' resonances
+_VOLTAGE_SHARE = 0.7  # of the supply, that a demanded current may need to be expected: warm windings need half more
 _NEVER = 1e9  # a limit that nothing reaches
 
 
@@ -60,11 +61,12 @@ class Monitor(Block):
         self.states = (*self._encoders.states, *self._heat.states, *own, *self._timers)
         self.parameters = (
             *self._encoders.parameters, *self._heat.parameters, "dt", "ampere_per_count", "torque_per_ampere",
-            "stiffness", "rotor_inertia", "viscous", "current_blend", "encoder_time", "most_current",
+            "stiffness", "rotor_inertia", "viscous", "current_blend", "observer_rate", "encoder_time", "most_current",
             "over_current_time", "current_error", "current_error_time", "volt_per_rate", "most_torque",
             "spring_error", "spring_time", "most_speed", "over_speed_time", "position_low", "position_high",
-            "position_margin", "nominal_supply", "supply_fall", "supply_rise", "voltage_time", "temperature_time",
-            "torque_range", "position_range", "velocity_range", "interrupt_time", "time_overrun_time",
+            "position_margin", "nominal_supply", "supply_fall", "supply_rise", "under_voltage_time",
+            "over_voltage_time", "temperature_time", "torque_range", "position_range", "velocity_range",
+            "interrupt_time", "time_overrun_time",
         )  # fmt: skip
 
     def values(self, joint: Joint, config: FirmwareConfig, offsets: Offsets) -> dict[str, float]:
@@ -83,6 +85,7 @@ class Monitor(Block):
             "rotor_inertia": actuator.rotor_inertia,
             "viscous": actuator.viscous,
             "current_blend": 1.0 - math.exp(-1.0 / (_CURRENT_BLEND_S * config.rate)),
+            "observer_rate": config.rate * (1.0 - math.exp(-_OBSERVER_RATE / config.rate)),
             "encoder_time": limits.encoder_time,
             "most_current": limits.over_current * actuator.current_limit,
             "over_current_time": limits.over_current_time,
@@ -100,7 +103,8 @@ class Monitor(Block):
             "nominal_supply": supply,
             "supply_fall": max((1.0 - limits.under_voltage) * supply, 1e-3),
             "supply_rise": max((limits.over_voltage - 1.0) * supply, 1e-3),
-            "voltage_time": limits.voltage_time,
+            "under_voltage_time": limits.under_voltage_time,
+            "over_voltage_time": limits.over_voltage_time,
             "temperature_time": limits.temperature_time,
             "torque_range": limits.command_range * config.torque_limit,
             "position_range": max(map(abs, joint.limits)) + math.pi,
@@ -131,10 +135,11 @@ class Monitor(Block):
 
         demanded = x.demand / p.torque_per_ampere
         difference = x.current_difference + p.current_blend * (current - demanded - x.current_difference)
-        driven = p.volt_per_rate * ca.fabs(sensed.motor_velocity) < 0.5 * supply
+        needed = p.resistance * ca.fabs(demanded) + p.volt_per_rate * ca.fabs(sensed.motor_velocity)  # V
+        driven = needed < _VOLTAGE_SHARE * supply
         # what accelerates the rotor beside current, spring and viscous friction, by its momentum
         momentum = ca.if_else(x.started > 0, x.momentum, p.rotor_inertia * sensed.motor_velocity)
-        unexplained = _OBSERVER_RATE * (p.rotor_inertia * sensed.motor_velocity - momentum)
+        unexplained = p.observer_rate * (p.rotor_inertia * sensed.motor_velocity - momentum)
         explained = p.torque_per_ampere * current - sensed.effort - p.viscous * sensed.motor_velocity
         beyond = ca.fmax(sensed.position - p.position_high, p.position_low - sensed.position)
 
@@ -142,8 +147,8 @@ class Monitor(Block):
             *[Watch(fault, level, time) for fault, level, time in encoders],
             Watch(DriveFault.CURRENT_SENSOR, driven * ca.fabs(difference) / p.current_error, "current_error_time"),
             Watch(DriveFault.SPRING, ca.fabs(unexplained) / p.spring_error, "spring_time"),
-            Watch(DriveFault.UNDER_VOLTAGE, (p.nominal_supply - supply) / p.supply_fall, "voltage_time", 0.9),
-            Watch(DriveFault.OVER_VOLTAGE, (supply - p.nominal_supply) / p.supply_rise, "voltage_time", 0.9),
+            Watch(DriveFault.UNDER_VOLTAGE, (p.nominal_supply - supply) / p.supply_fall, "under_voltage_time", 0.9),
+            Watch(DriveFault.OVER_VOLTAGE, (supply - p.nominal_supply) / p.supply_rise, "over_voltage_time", 0.9),
             Watch(DriveFault.OVER_CURRENT, ca.fabs(current) / p.most_current, "over_current_time"),
             Watch(DriveFault.OVER_TORQUE, ca.fabs(sensed.torque) / p.most_torque),
             Watch(DriveFault.OVER_SPEED, ca.fabs(sensed.motor_velocity) / p.most_speed, "over_speed_time"),

@@ -254,6 +254,13 @@ def test_a_setting_needs_a_key_and_a_value(setting: str) -> None:
         load("stand", [setting])
 
 
+def test_a_gain_that_is_set_leaves_the_others_of_its_set_alone() -> None:
+    plain = load("stand", []).firmware
+    changed = load("stand", ["firmware.stance.kp=4.5", "firmware.swing.kd=2Nms/rad"]).firmware
+    assert changed.stance == plain.stance.model_copy(update={"kp": 4.5}) != plain.stance
+    assert changed.swing == plain.swing.model_copy(update={"kd": 2.0}) != plain.swing
+
+
 def test_gains_of_one_joint_override_those_of_all_and_only_what_is_given() -> None:
     """As Kim 2018 Table 7.1 has it: left and right joints swing with different gains."""
     settings = ["firmware.joints.left_hip.swing.kp=32.7", "firmware.joints.left_hip.swing.ki=3.48"]

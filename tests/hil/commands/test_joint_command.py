@@ -14,6 +14,7 @@ import can
 import pytest
 
 from bus import messages
+from bus.drive_faults import DriveFault
 from bus.messages import Controlword, Statusword
 from hil.cli import main
 from hil.standalone.joint import StandaloneJoint, open_bus
@@ -103,6 +104,19 @@ def test_a_drive_is_walked_through_its_states_and_its_torque_settles_where_it_wa
     assert {m.arbitration_id for m in read} >= {messages.STATE + 6, messages.COMMAND, messages.HEARTBEAT + 6}
 
 
+def test_a_joint_with_a_fault_from_the_start_says_so_when_it_is_enabled(lab: tuple[str, int], tmp_path: Path) -> None:
+    name, _ = lab
+    with (
+        can.Bus(interface="hil", channel=name, fd=True) as bus,
+        joint(name, tmp_path, "--node", "6", "--load", "locked", "--set", "joint.left_knee.supply=0.7"),
+    ):
+        master = Master(bus, "left_knee")
+        words = {Statusword.SWITCH_ON_DISABLED: 0x06, Statusword.READY_TO_SWITCH_ON: 0x07, Statusword.SWITCHED_ON: 0x0F}
+        while not (state := master.hear()).error:
+            master.say(words.get(state.statusword & Statusword.MASK, 0x0F))
+        assert state.error == DriveFault.UNDER_VOLTAGE and state.statusword & Statusword.MASK == Statusword.FAULT
+
+
 def test_a_pendulum_without_power_swings_until_it_hangs(lab: tuple[str, int], tmp_path: Path) -> None:
     """Started aside and without power, it ends hanging: the plant is a physical one."""
     name, _ = lab
@@ -179,7 +193,8 @@ def test_what_is_no_command_does_it_no_harm(lab: tuple[str, int], tmp_path: Path
             master.hear()
         process.send_signal(signal.SIGINT)
         stdout, _ = process.communicate(timeout=PATIENCE_S)
-        assert process.returncode == 0 and json.loads(stdout)["malformed"] == 2
+        # two of a wrong length, one with a torque of 150 kN m
+        assert process.returncode == 0 and json.loads(stdout)["malformed"] == 3
 
 
 MISTAKES: dict[tuple[str, ...], str] = {
@@ -207,7 +222,11 @@ MISTAKES: dict[tuple[str, ...], str] = {
     "at most 1 MHz",
     ("--node", "3", "--duration", "0s"): "--duration 0s: expected more than 0 s",
     ("--node", "3", "--set", "link.command.delay=3ms"): "--set link.command.delay=3ms: a joint alone has firmware.…, "
-    "sensors.…, world.friction_scale and world.rate",
+    "sensors.…, joint.NAME.…, world.friction_scale and world.rate",
+    ("--node", "3", "--set", "joint.left_knee.encoder=stuck"): "--set joint.left_knee: the joint here is right_knee",
+    ("--node", "3", "--set", "joint.right_knee.command=out_of_range"): "--set joint.right_knee.command: a joint alone "
+    "has no controller; send such commands yourself",
+    ("--node", "3", "--set", "joint.right_knee.supply=3"): "joint.right_knee.supply = 3: expected at most 2",
     ("--node", "3", "--set", "firmware.watchdg=3ms"): "unknown key 'firmware.watchdg'; "
     "did you mean 'firmware.watchdog'?",
     ("--node", "3", "--can", "lab"): "--can lab: expected INTERFACE:CHANNEL, for example hil:lab or socketcan:can0",
