@@ -14,7 +14,7 @@ from hil.lab.linear.section import Section, responses
 
 # 1/s. A slower drift cannot be told from none: the feet stay where they are put, and so do some integrals.
 STILL = 0.1
-FLOOR = float(__import__("os").environ.get("FLOOR","1e-3"))
+_FLOOR = 5e-4  # of singular values of what passes through the delays, beside 1
 _TAIL = 4  # periods at the end in which nothing new can arrive
 _ABOVE_NOISE = 1.5
 _SHARE = 0.04  # smallest participation worth telling
@@ -73,8 +73,18 @@ class Linearisation:
         matrices = recurrence(found)
         noise = float(np.abs(matrices[-_TAIL:]).max())
         matrices = refined(found, matrices, _ABOVE_NOISE * noise)
-        model = DelayModel.of(matrices, section.period, FLOOR)
+        model = DelayModel.of(matrices, section.period, _FLOOR)
         return cls(model, section.names, noise, memory(matrices))
+
+    def like(self, mode: Mode) -> Mode:
+        """The mode in which the same takes part as in ``mode`` of another linearisation, at about its frequency."""
+
+        def unlikeness(other: Mode) -> float:
+            a, b = dict(mode.shares), dict(other.shares)
+            common = sum(math.sqrt(share * b.get(name, 0.0)) for name, share in a.items())  # Bhattacharyya's
+            return abs(math.log((other.frequency + 0.1) / (mode.frequency + 0.1))) - math.log(max(common, 1e-12))
+
+        return min((other for other in self.modes if not other.still), key=unlikeness)
 
     @cached_property
     def modes(self) -> tuple[Mode, ...]:

@@ -10,7 +10,7 @@ from typing import Any, Self
 from hil.errors import UserError
 from hil.lab.linear.linearisation import Linearisation
 from hil.lab.linear.standing import StandingSection, hyper_period
-from hil.lab.quantity import Value, changed, quantity
+from hil.lab.quantity import Quantity, Value, changed, quantity
 from hil.run import Request, assemble
 from hil.scenario import Scenario
 from robots.description import Robot
@@ -27,6 +27,12 @@ _FINER_ENCODER, _FINER = 4e3, 1e5  # encoders of angles; spring encoders, load c
 _FINER_GYRO, _FINER_ACCELEROMETER = 10.0, 2.0
 
 _STEP, _REST = 1e-3, 3e-3  # s: a delay grows in such steps, each after such a rest: its gaps must not wake the watchdog
+# Keys of what a standing robot can be given, and among them those that it must have had while it stood up.
+_MOVABLE = ("controller.", "firmware.", "joint.")
+_NOT_MOVABLE = (
+    "controller.rate", "controller.variant", "firmware.rate", "firmware.report_rate", "firmware.law",
+    "firmware.velocity_estimator",
+)  # fmt: skip
 _CALM = 0.02  # s from the last change to the section
 
 
@@ -60,30 +66,59 @@ def fine(robot: Robot) -> Robot:
     return robot.model_copy(update={"joints": joints, "imu": imu})
 
 
+def _moved(settled: dict[str, Any], fresh: dict[str, Any]) -> dict[str, Any]:
+    """Snapshot ``settled`` with what is configuration in it replaced by that of ``fresh``, of another system."""
+    world = settled["world"]
+    return {
+        **settled,
+        "world": {**world, "actuators": (*world["actuators"][:-1], fresh["world"]["actuators"][-1])},  # parameters
+        "joints": [
+            {**old, "settings": new["settings"]} for old, new in zip(settled["joints"], fresh["joints"], strict=True)
+        ],
+        **{
+            part: [{**old, "impairment": new["impairment"]} for old, new in zip(settled[part], fresh[part], strict=True)]
+            for part in ("links", "wires")
+        },
+        "injector": fresh["injector"],
+    }
+
+
 class OperatingPoint:
     """``scenario``, made smooth, at ``at`` s. Use as a context manager, or ``close`` it.
 
     Raises UserError when the robot does not come that far.
     """
 
-    def __init__(self, scenario: Scenario, at: float, seed: int = 0) -> None:
+    def __init__(self, scenario: Scenario, at: float, settled: dict[str, Any] | None = None) -> None:
         from plant.stance import StanceError
 
         self.scenario, self.at = smooth(scenario), at
         self._stack = contextlib.ExitStack()
         try:
-            request = Request(self.scenario, seed, backend="inline", signals=False)
+            request = Request(self.scenario, backend="inline", signals=False)
             self.system = self._stack.enter_context(assemble(request, alter=fine)).system
         except StanceError as error:
             raise UserError(f"{scenario.name}: stance: {error}") from None
-        ticks, common = hyper_period(self.system)
-        self._tick_ns = lambda k: k * ticks * 10**9 // int(self.scenario.firmware.rate)
-        self._common = common
-        self._run(at)
-        if self.system.stop_reason is not None:
-            raise UserError(f"{scenario.name} without stiction does not stand until {at:g} s: {self.system.stop_reason}")
+        self._ticks, self._common = hyper_period(self.system)
+        if settled is None:
+            self._run(at)
+            if self.system.stop_reason is not None:
+                raise UserError(
+                    f"{scenario.name} without stiction does not stand until {at:g} s: {self.system.stop_reason}"
+                )
+        else:
+            self.system.restore(_moved(settled, self.system.snapshot()))
         self.system.monitor = None  # it watches what goes on for long, not what is taken back
+        if settled is not None:
+            self._run(self.now + _CALM)
         self._settled = self.system.snapshot()
+
+    def elsewhere(self, quantity: Quantity, value: Value) -> OperatingPoint:
+        """The robot as it stands here in a system where ``quantity`` has another value, if it can be put there;
+        else one that has stood up with it."""
+        scenario = quantity.applied(self.scenario, value)
+        movable = quantity.key.startswith(_MOVABLE) and not quantity.key.startswith(_NOT_MOVABLE)
+        return OperatingPoint(scenario, self.at, self._settled if movable else None)
 
     def __enter__(self) -> Self:
         return self
@@ -96,7 +131,8 @@ class OperatingPoint:
 
     def _run(self, time: float) -> None:
         """To the first section at or after ``time``."""
-        self.system.run_until(self._tick_ns(math.ceil(round(time * self._common, 6))))
+        periods = math.ceil(round(time * self._common, 6))
+        self.system.run_until(periods * self._ticks * 10**9 // int(self.scenario.firmware.rate))
 
     @property
     def now(self) -> float:
