@@ -20,8 +20,11 @@ class Section(Protocol):
     sizes: Array
     period: float
 
-    def advance(self) -> Any:
-        """Run one period. Returns the reading at its end."""
+    def advance(self) -> None:
+        """Run one period."""
+
+    def read(self) -> Any:
+        """The reading at this moment."""
 
     def displace(self, state: int, amount: float) -> None:
         """Start at the section with one state displaced by ``amount``, in its own unit, and all else as it was."""
@@ -39,10 +42,18 @@ def responses(section: Section, periods: int, scale: float = 1.0) -> Array:
     n = len(section.names)
     found = np.empty((periods, n, n))
     for state, size in enumerate(section.sizes):
-        readings = []
-        for sign in (1.0, -1.0):
-            section.displace(state, sign * scale * size)
-            readings.append([section.advance() for _ in range(periods)])
-        for k, (ahead, behind) in enumerate(zip(*readings, strict=True)):
-            found[k, :, state] = section.difference(ahead, behind) / (2.0 * scale * section.sizes)
+        ahead = trajectory(section, state, scale * size, periods)
+        behind = trajectory(section, state, -scale * size, periods)
+        for k, (first, second) in enumerate(zip(ahead, behind, strict=True)):
+            found[k, :, state] = section.difference(first, second) / (2.0 * scale * section.sizes)
     return found
+
+
+def trajectory(section: Section, state: int, amount: float, periods: int) -> list[Any]:
+    """Readings after each of ``periods`` from the section with one state displaced by ``amount``."""
+    section.displace(state, amount)
+    readings = []
+    for _ in range(periods):
+        section.advance()
+        readings.append(section.read())
+    return readings

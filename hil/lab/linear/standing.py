@@ -20,6 +20,7 @@ import numpy as np
 from central_controller.law import memory_names
 from hil.errors import UserError
 from hil.lab.linear.delay_model import Array
+from hil.lab.linear.section import trajectory
 from hil.system import System
 from joint_firmware.laws.monitor import Monitor
 
@@ -134,10 +135,7 @@ class StandingSection:
         self._law_states, self._memory = candidates, list(range(len(names)))
         swing = np.zeros(len(candidates) + len(names))
         for state in range(self._physical):
-            ends = []
-            for sign in (1.0, -1.0):
-                self.displace(state, sign * self.sizes[state])
-                ends.append([self.advance() for _ in range(_PROBE)])
+            ends = [trajectory(self, state, sign * self.sizes[state], _PROBE) for sign in (1.0, -1.0)]
             for ahead, behind in zip(*ends, strict=True):
                 np.maximum(swing, np.abs(self.difference(ahead, behind)[self._physical :]) / 2.0, out=swing)
         of_law, of_memory = swing[: len(candidates)], swing[len(candidates) :]
@@ -205,10 +203,12 @@ class StandingSection:
         mujoco.mju_quatIntegrate(quaternion, turn, 1.0)
         memory[:4] = np.roll(quaternion, -1)
 
-    def advance(self) -> Any:
+    def advance(self) -> None:
         self._k += 1
         periods = self._at + self._k
         self._system.run_until(periods * self._ticks * 10**9 // int(self._system.scenario.firmware.rate))
+
+    def read(self) -> Any:
         system = self._system
         world = system.world
         return (
