@@ -12,7 +12,6 @@ for _variable in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
 
 import argparse  # noqa: E402
 import json  # noqa: E402
-import math  # noqa: E402
 import re  # noqa: E402
 import sys  # noqa: E402
 import time  # noqa: E402
@@ -22,7 +21,7 @@ from pathlib import Path  # noqa: E402
 from typing import Any, NoReturn  # noqa: E402
 
 from hil.commands import bus_command, export, joint_command  # noqa: E402
-from hil.commands.arguments import natural  # noqa: E402
+from hil.commands.arguments import natural, with_second  # noqa: E402
 from hil.errors import EXIT_EMULATION, EmulationError, HilError, UserError  # noqa: E402
 
 
@@ -132,10 +131,11 @@ def _parser() -> argparse.ArgumentParser:
     inject.set_defaults(command=_inject)
 
     joint_command.add_parser(commands)
-    from hil.commands import protection, replay
+    from hil.commands import margin, protection, replay
 
     replay.add_parser(commands)
     protection.add_parser(commands)
+    margin.add_parser(commands)
     eds.add_parser(commands)
     export.add_parser(commands)
     bus_command.add_parser(commands)
@@ -182,7 +182,7 @@ def _run(options: argparse.Namespace) -> int:
 
     settings = list(options.settings)
     if options.duration is not None:
-        settings.append(f"duration={_with_second(options.duration)}")
+        settings.append(f"duration={with_second(options.duration)}")
     scenario = load(options.scenario, settings)
     if options.zenoh is not None and options.backend == "inline":
         raise UserError("--zenoh has no meaning with --backend inline: nothing goes through Zenoh there")
@@ -252,14 +252,6 @@ def _interfaces(options: argparse.Namespace) -> dict[str, str]:
         if not name or not interface:
             raise UserError(f"--interface {text}: expected NAME=CAN, for example left_leg.6=can0")
     return {name: interface for name, _, interface in pairs}
-
-
-def _with_second(text: str) -> str:
-    """``text`` with the unit s when it is a bare number."""
-    try:
-        return f"{text.strip()}s" if math.isfinite(float(text)) else text
-    except ValueError:
-        return text
 
 
 def _stillborn(request: Any, error: HilError) -> dict[str, Any]:
@@ -333,7 +325,7 @@ def _bench(options: argparse.Namespace) -> int:
     if options.duration is None:
         options.duration = "5s" if options.what is None else "1s"
     try:
-        duration = parse_quantity(_with_second(options.duration), "s")
+        duration = parse_quantity(with_second(options.duration), "s")
     except ValueError as error:
         raise UserError(f"--duration: {error}") from None
     if not 0.1 <= duration <= 3600:

@@ -61,25 +61,32 @@ def builtin_names() -> list[str]:
     return sorted(f.name[:-5] for f in files if f.name.endswith(".toml"))
 
 
-def load(name: str, settings: typing.Sequence[str] | Mapping[str, Any] = ()) -> Scenario:
+def load(
+    name: str,
+    settings: typing.Sequence[str] | Mapping[str, Any] = (),
+    inject: typing.Sequence[Mapping[str, Any]] = (),
+) -> Scenario:
     """The scenario ``name`` (built in, or the path of a TOML file) with ``settings`` applied: "key=value", or values
-    by key, texts as on a command line.
+    by key, texts as on a command line; then ``inject`` (tables as in a file) added to its own.
 
     Raises UserError with the key's path and what would be right.
     """
     data, source = _read(name)
-    if isinstance(settings, Mapping):
-        for key, value in settings.items():
-            if not isinstance(key, str) or not all(part.strip() for part in key.split(".")):
-                raise UserError(f"{key!r} is no key, for example 'link.command.delay'")
-            _assign(data, key.strip(), _literal(value.strip()) if isinstance(value, str) else value)
-        return complete(data, source)
-    for setting in settings:
-        key, separator, text = setting.partition("=")
-        if not separator or not all(part.strip() for part in key.split(".")):
-            raise UserError(f"--set {setting}: expected KEY=VALUE, for example --set link.command.delay=3ms")
-        assign(data, key.strip(), _literal(text.strip()))
+    for key, value in settings.items() if isinstance(settings, Mapping) else map(_setting, settings):
+        if not isinstance(key, str) or not all(part.strip() for part in key.split(".")):
+            raise UserError(f"{key!r} is no key; one is, for example, 'link.command.delay'")
+        assign(data, key.strip(), _literal(value.strip()) if isinstance(value, str) else value)
+    if inject:
+        own = data.get("inject", [])
+        data["inject"] = [*own, *inject] if isinstance(own, list) else own
     return complete(data, source)
+
+
+def _setting(text: str) -> tuple[str, str]:
+    key, separator, value = text.partition("=")
+    if not separator or not all(part.strip() for part in key.split(".")):
+        raise UserError(f"--set {text}: expected KEY=VALUE, for example --set link.command.delay=3ms")
+    return key, value
 
 
 def complete(data: dict[str, Any], source: str) -> Scenario:

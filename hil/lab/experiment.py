@@ -13,7 +13,8 @@ from functools import partial
 from typing import Any, Self
 
 from hil.errors import UserError
-from hil.lab.quantity import Value, quantity
+from hil.lab.quantity import Quantity, Value, changed, quantity
+from hil.record.journal import Journal
 from hil.run import Request, assemble
 from hil.scenario import Scenario
 
@@ -34,17 +35,17 @@ class Outcome:
 class Experiment:
     """One system on the inline backend. Use as a context manager, or ``close`` it.
 
-    Raises UserError when the robot cannot stand like that.
+    ``journal`` takes the run's journal, if it is wanted. Raises UserError when the robot cannot stand like that.
     """
 
-    def __init__(self, scenario: Scenario, seed: int) -> None:
+    def __init__(self, scenario: Scenario, seed: int, journal: Journal | None = None) -> None:
         from plant.stance import StanceError
 
         self.scenario, self.seed = scenario, seed
         self._stack = contextlib.ExitStack()
-        request = Request(scenario, seed, backend="inline", signals=False)
+        self.request = Request(scenario, seed, backend="inline", signals=False, journal=journal)
         try:
-            self._assembly = self._stack.enter_context(assemble(request))
+            self._assembly = self._stack.enter_context(assemble(self.request))
         except StanceError as error:
             raise UserError(f"{scenario.name}: stance: {error}") from None
         self.system, self.recorder = self._assembly.system, self._assembly.recorder
@@ -147,3 +148,37 @@ def outcome(scenario: Scenario, seed: int) -> Outcome:
     with Experiment(scenario, seed) as experiment:
         experiment.until(scenario.duration)
         return experiment.outcome()
+
+
+class Trials:
+    """Outcomes of ``scenario`` with other values of its quantities: those that are injectable are injected at ``at`` s,
+    the others hold from the start. The last settled system is kept, for the next trial that differs by injected values
+    only. Use as a context manager, or ``close`` it."""
+
+    def __init__(self, scenario: Scenario, at: float) -> None:
+        self.scenario, self.at = scenario, at
+        self._settled: tuple[Any, Branch] | None = None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        if self._settled is not None:
+            self._settled[1].close()
+            self._settled = None
+
+    def outcome(self, quantities: Mapping[Quantity, Value], seed: int) -> Outcome:
+        """One trial. ``quantities``: values in SI units. Raises UserError for one that the scenario does not take."""
+        injected = {q.key: q.written(value) for q, value in quantities.items() if q.injectable}
+        fixed = {q.key: q.written(value) for q, value in quantities.items() if not q.injectable}
+        if not injected:
+            return outcome(changed(self.scenario, fixed), seed)
+        name = seed, fixed
+        if self._settled is None or self._settled[0] != name:
+            self.close()
+            scenario = changed(self.scenario, fixed) if fixed else self.scenario
+            self._settled = name, Branch(scenario, seed, self.at)
+        return self._settled[1].outcome(injected)

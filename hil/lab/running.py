@@ -1,29 +1,26 @@
-"""A run that goes on as far as it is told to: looked at, injected into, rewound and judged by its caller."""
+"""A run that goes on as far as it is told to: looked at, injected into, rewound, judged and saved by its caller."""
 
 from __future__ import annotations
 
-import contextlib
 import json
 import time
 from pathlib import Path
 from typing import Any
 
 from hil.errors import UserError
-from hil.injection import injectable
+from hil.lab.experiment import Experiment
 from hil.record.journal import JOURNAL_FILE, Entries
 from hil.record.signals import SIGNALS_FILE, Signals
-from hil.run import Outcome, Request, assemble, conclude, origin, write_record
-from hil.scenario import Scenario, parse_value
-from hil.schema import nearest
-from robots import description
+from hil.run import Outcome, conclude, origin, write_record
+from hil.scenario import Scenario
 from robots.quantities import parse_quantity
 
 
 class Running:
-    """A system of the inline backend in virtual time, its record kept in memory.
+    """An experiment (``hil.lab.experiment``) with a journal, so that it can be kept as a record like that of any run.
 
-    It ends where its scenario does, or earlier where it has failed: then ``stopped`` says why. Not to be used after
-    ``close``, but for ``outcome`` and ``save``.
+    It ends where its scenario does, or earlier where it has failed: then ``stopped`` says why. Use as a context
+    manager, or ``close`` it.
 
     Raises UserError when the robot cannot stand as the scenario asks.
     """
@@ -31,25 +28,12 @@ class Running:
     def __init__(self, scenario: Scenario, seed: int = 0) -> None:
         self.scenario, self.seed = scenario, seed
         self._journal = Entries()
-        self._request = Request(
-            scenario, seed, "inline", report=False, journal=self._journal, signals=False
-        )  # Ctrl-C is whoever's who holds this
+        self._experiment = Experiment(scenario, seed, self._journal)
+        self._system = self._experiment.system
+        self._journal.write({"run": origin(self._experiment.request)})
         self._end_ns = round(scenario.duration * 1e9)
-        self._known = injectable(description.load(scenario.robot))
-        self._elapsed = 0.0
+        self._elapsed = 0.0  # wall-clock time, s
         self._outcome: Outcome | None = None
-        self._life = contextlib.ExitStack()
-        try:
-            assembly = self._life.enter_context(assemble(self._request))
-        except ValueError as error:
-            from plant.stance import StanceError
-
-            if not isinstance(error, StanceError):
-                raise
-            raise UserError(f"{scenario.name}: stance: {error}") from None
-        self._system, self._recorder = assembly.system, assembly.recorder
-        self._open = True
-        self._journal.write({"run": origin(self._request)})
 
     def __enter__(self) -> Running:
         return self
@@ -58,23 +42,22 @@ class Running:
         self.close()
 
     def __repr__(self) -> str:
-        state = self.stopped or f"at {self.time:.3f} s"
-        return f"<{self.scenario.name}, seed {self.seed}, {state}>"
+        return f"<{self.scenario.name}, seed {self.seed}, {self.stopped or f'at {self.time:.3f} s'}>"
 
     @property
     def time(self) -> float:
         """How far it is, s."""
-        return self._system.now_ns * 1e-9
+        return self._experiment.now
 
     @property
     def stopped(self) -> str | None:
         """Why it ended before its time, one sentence; None while it stands."""
-        return self._system.stop_reason
+        return self._experiment.failed
 
     @property
     def signals(self) -> dict[str, Signals]:
         """All that was recorded so far, by channel: ``signals["world"]["com.z"]``."""
-        return self._recorder.tables()
+        return self._experiment.tables()
 
     def until(self, end: float | str) -> Running:
         """Go on to ``end`` (s, or a text as "250ms"), or to a failure. Returns this run.
@@ -85,73 +68,62 @@ class Running:
             seconds = parse_quantity(end, "s") if isinstance(end, str) else float(end)
         except ValueError as error:
             raise UserError(f"until: {error}") from None
-        end_ns = round(seconds * 1e9)
-        if not self._system.now_ns <= end_ns <= self._end_ns:
+        if not self._system.now_ns <= round(seconds * 1e9) <= self._end_ns:
             span = f"{self.time:g} s, now, to {self.scenario.duration:g} s, where the scenario ends"
             raise UserError(f"until {seconds:g} s: expected {span}")
-        self._advance(end_ns)
+        self._advance(seconds)
         return self
 
-    def _advance(self, end_ns: int) -> None:
-        began = time.monotonic()
-        self._system.run_until(end_ns)
-        self._elapsed += time.monotonic() - began
+    def _advance(self, seconds: float) -> None:
         self._outcome = None
+        began = time.monotonic()
+        self._experiment.until(seconds)
+        self._elapsed += time.monotonic() - began
 
-    def inject(self, key: str, value: Any) -> float | bool | str:
-        """Change one value from the controller's next tick on, as ``hil inject`` does. Returns it in SI units.
+    def inject(self, key: str, value: Any) -> None:
+        """Change one value from the controller's next tick on, as ``hil inject`` does.
 
         Raises UserError for an unknown key or a value that it does not take.
         """
-        if key not in self._known:
-            raise UserError(f"nothing to inject at {key!r}{nearest(key, list(self._known))}")
-        parsed = parse_value(key, value)
-        self._system.requests.append(lambda: self._system.inject(key, value))
-        return parsed
+        try:
+            self._experiment.inject(key, value)
+        except UserError as error:
+            raise UserError(str(error)) from None  # without the way that led to it
 
     def snapshot(self) -> dict[str, Any]:
         """Everything, to come back to with ``restore`` as often as wanted."""
-        system = self._system.snapshot()  # first: it awaits an answer that is under way
-        return {
-            "system": system,
-            "requests": list(self._system.requests),
-            "recorder": self._recorder.snapshot(),
-            "journal": list(self._journal.entries),
-        }
+        state = self._experiment.snapshot()
+        return {"experiment": state, "requests": list(self._system.requests), "journal": list(self._journal.entries)}
 
     def restore(self, state: dict[str, Any]) -> None:
         """Go back to a snapshot of this run: it goes on from there as the first time, unless something is changed."""
-        self._system.restore(state["system"])
-        self._system.requests.clear()
-        self._system.requests.extend(state["requests"])
-        self._recorder.restore(state["recorder"])
-        self._journal.entries = list(state["journal"])
         self._outcome = None
+        self._experiment.restore(state["experiment"])
+        self._system.requests.extend(state["requests"])
+        self._journal.entries = list(state["journal"])
 
     def outcome(self) -> Outcome:
         """Judge what has been so far."""
         if self._outcome is None:
-            self._outcome = conclude(self._request, self._system, self._recorder, None, self._elapsed)
+            experiment = self._experiment
+            self._outcome = conclude(experiment.request, self._system, experiment.recorder, None, self._elapsed)
         return self._outcome
 
     def finish(self) -> Outcome:
         """Go on to the end of the scenario, or to a failure, and judge."""
-        self._advance(self._end_ns)
-        self._journal.write({"end_ns": self._system.now_ns, "digest": self._recorder.digest()})
+        self._advance(self.scenario.duration)
         outcome = self.outcome()
+        self._journal.write({"end_ns": self._system.now_ns, "digest": outcome.digest})
         self.close()
         return outcome
 
     def close(self) -> None:
-        """Free what the system holds; a second call does nothing."""
-        if self._open:
-            self.outcome()
-            self._open = False
-            self._life.close()
+        """Free what only a run that goes on needs; a second call does nothing."""
+        self._experiment.close()
 
     def save(self, directory: Path) -> None:
         """Write the record as of now into ``directory``, which is created: verdict, report, signals, and the journal, so
-        that ``hil replay`` can repeat it. The buses' logs are not kept in memory: ``hil replay --out`` writes them."""
+        that ``hil replay`` can repeat it. Buses' logs are not kept in memory: ``hil replay --out`` writes them."""
         from hil.record.mcap_writer import McapWriter
 
         outcome = self.outcome()

@@ -90,7 +90,7 @@ class _Drawing:
         self._over_time(error, "CoM error [mm]")
         error.legend(fontsize=8)
         caption = "Left: path after settling. Right: distance in the plane, once the controller has a reference."
-        return Plot("Centre of mass in the sagittal plane", caption, _encoded(figure))
+        return Plot("Centre of mass in the sagittal plane", caption, encoded(figure))
 
     def _internal_force(self) -> Plot:
         world, controller = self.run.world, self.run.controller
@@ -120,7 +120,7 @@ class _Drawing:
         self._over_time(axes, "internal force [N]")
         axes.legend(ncols=3, fontsize=8, loc="upper right")
         caption = "Along the line between the feet; positive pushes them apart."
-        return Plot("Internal force between the feet", caption, _encoded(figure))
+        return Plot("Internal force between the feet", caption, encoded(figure))
 
     def _torques(self) -> Plot:
         controller = self.run.controller
@@ -139,7 +139,7 @@ class _Drawing:
         np.ravel(axes)[0].legend(fontsize=8)
         limit = self.configuration["firmware"]["torque_limit"]
         return Plot(
-            "Joint torques", f"At the joint. The drives limit them to ±{limit:g} N m.", _encoded(figure)
+            "Joint torques", f"At the joint. The drives limit them to ±{limit:g} N m.", encoded(figure)
         )
 
     def _buses(self) -> Plot:
@@ -166,7 +166,7 @@ class _Drawing:
             latency.legend(fontsize=8, loc="upper right")
         latency.set(xlabel="frame latency [ms]", ylabel="frames")
         caption = "Frame latency: from a joint's sample to its state's delivery, queueing and repetitions included."
-        return Plot("Bus load and frame latency", caption, _encoded(figure))
+        return Plot("Bus load and frame latency", caption, encoded(figure))
 
     def _round_trip(self) -> Plot:
         drives = self.run.drives
@@ -190,7 +190,7 @@ class _Drawing:
         histogram.set(xlabel="round trip [ms]", ylabel="commands")
         histogram.legend(fontsize=8, loc="upper right")
         caption = "From a joint's sample to the arrival, at that joint, of the command computed from it."
-        return Plot("Control-cycle latency", caption, _encoded(figure))
+        return Plot("Control-cycle latency", caption, encoded(figure))
 
     def _stance(self) -> Plot:
         world, controller = self.run.world, self.run.controller
@@ -214,7 +214,7 @@ class _Drawing:
         self._over_time(ratio, "tangential / normal force")
         ratio.legend(fontsize=8)
         caption = "Beyond the friction coefficient a foot slides."
-        return Plot("Orientation and use of friction", caption, _encoded(figure))
+        return Plot("Orientation and use of friction", caption, encoded(figure))
 
 
 def _line(axes: Any, x: np.ndarray, y: np.ndarray, **style: Any) -> None:
@@ -248,7 +248,8 @@ def _figure(*shape: int, height: float = 3.2) -> tuple[Any, Any]:
     return figure, axes
 
 
-def _encoded(figure: Any) -> str:
+def encoded(figure: Any) -> str:
+    """``figure`` as PNG in base64; it is closed."""
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", dpi=120)
     plt.close(figure)

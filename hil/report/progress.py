@@ -7,7 +7,7 @@ import time
 from typing import IO, Any
 
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from hil.scenario import Scenario
 
@@ -52,3 +52,39 @@ class Display:
         text = f"{speed:4.2f}× real time  CoM {1e3 * error:5.1f} mm  bus {load}"
         self._progress.update(self._task, completed=simulated, text=text)
         self._progress.refresh()
+
+
+class Counter:
+    """Progress of many runs: how many are done, for how long they have run, and how long they will.
+
+    On a stream that is no terminal nothing at all.
+    """
+
+    def __init__(self, title: str, total: int, what: str, stream: IO[str], done: int = 0) -> None:
+        console = Console(file=stream)
+        self._progress = Progress(
+            TextColumn("{task.description}"),
+            BarColumn(bar_width=24),
+            MofNCompleteColumn(),
+            TextColumn(f"{what}, {{task.fields[text]}}"),
+            TimeElapsedColumn(),
+            TextColumn("gone,"),
+            TimeRemainingColumn(),
+            TextColumn("to go"),
+            console=console,
+            speed_estimate_period=600.0,
+            disable=not console.is_terminal,
+            transient=True,
+        )
+        self._task = self._progress.add_task(title, total=total, completed=done, text="")
+
+    def __enter__(self) -> Counter:
+        self._progress.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._progress.stop()
+
+    def advance(self, text: str = "") -> None:
+        """One more is done; ``text`` is shown."""
+        self._progress.update(self._task, advance=1, text=text)
