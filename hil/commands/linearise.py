@@ -9,10 +9,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hil.commands.arguments import add_scenario, scenario_of, seconds
+from hil.commands.margin import ends_of
 from hil.errors import EXIT_STABLE, EXIT_UNSTABLE, UserError
 
 if TYPE_CHECKING:
-    from hil.lab.linear.linearisation import Linearisation
+    from hil.lab.quantity import Quantity
 
 _TOLD = 12  # modes
 
@@ -38,7 +39,8 @@ def add_parser(commands: Any) -> None:
 
 def _linearise(options: argparse.Namespace) -> int:
     from hil.lab.linear.operating_point import OperatingPoint
-    from hil.lab.linear.prediction import Reach, predict
+    from hil.lab.linear.prediction import predict
+    from hil.lab.margin import Search, checked
     from hil.lab.quantity import quantity
     from hil.report.progress import Counter
 
@@ -46,48 +48,49 @@ def _linearise(options: argparse.Namespace) -> int:
         raise UserError("--range and --resolution go with --of")
     scenario = scenario_of(options)
     at = seconds("--at", options.at)
-    varied = None if options.of is None else quantity(scenario, options.of)
-    reach = None if varied is None else Reach.of(varied, options.ends, options.resolution)
-    with (
-        Counter(scenario.name, 2 if reach is None else None, "linearisations", sys.stderr) as progress,
-        OperatingPoint(scenario, at) as point,
-    ):
-        found = point.linearise()
-        progress.advance()
-        half = point.linearise(scale=0.5)
-        progress.advance()
-        prediction = None if reach is None else predict(point, reach, lambda _: progress.advance())
+    search = None
+    if options.of is not None:
+        varied = quantity(scenario, options.of)
+        near, far = (None, None) if options.ends is None else ends_of(options.ends, varied)
+        fine = None if options.resolution is None else float(varied.parse(options.resolution))
+        search = checked(Search(scenario, varied, at, near, far, fine))
+    with Counter(scenario.name, 2 if search is None else 11, "linearisations", sys.stderr) as progress:
+        with OperatingPoint(scenario, at) as point:
+            found = point.linearise()
+            progress.advance()
+            half = point.linearise(scale=0.5)
+            progress.advance()
+            prediction = None if search is None else predict(point, search, lambda _: progress.advance())
     record = {
         "scenario": scenario.name,
         "at": at,
         "period": found.model.period,
         **found.record(),
-        "convergence": _convergence(found, half),
+        "convergence": found.change(half),
     }
-    if varied is not None and prediction is not None:
-        record["prediction"] = {
-            "of": varied.key, "unit": varied.unit, "nominal": varied.nominal, **prediction.record(),
-        }  # fmt: skip
+    if search is not None and prediction is not None:
+        of = search.quantity
+        record["prediction"] = {"of": of.key, "unit": of.unit, "nominal": of.nominal, **prediction.record()}
     if options.out is not None:
         from hil.report.linear_page import write_linear
 
-        write_linear(options.out, record)
+        write_linear(options.out, record, None if search is None else search.quantity)
     if options.json:
         print(json.dumps(record, allow_nan=False))
     else:
-        _print(record)
+        _print(record, None if search is None else search.quantity)
         if options.out is not None:
             print(f"report      {options.out / 'linearise.html'}")
     return EXIT_STABLE if found.growth < 0.0 else EXIT_UNSTABLE
 
 
-def _convergence(found: Linearisation, half: Linearisation) -> dict[str, float]:
-    """How far the modes that matter move when all displacements are halved: largest change [1/s] of growth and
-    angular frequency."""
-    mode = found.dominant
-    waves = [m for m in found.modes if m.frequency > 0.5 and m.growth > -50.0] or [mode]
-    return {
-        "noise": found.noise,
-        "largest_change": max(abs(complex(m.growth - o.growth, 6.283185307179586 * (m.frequency - o.frequency)))
-                              for m in waves for o in [half.nearest(m)]),
-    }  # fmt: skip
+def _print(record: dict[str, Any], quantity: Quantity | None) -> None:
+    from hil.report.linear_page import sentences
+
+    print(f"{'growth':>10} {'frequency':>11} {'damping':>8}   takes part")
+    for mode in record["modes"][:_TOLD]:
+        shares = ", ".join(f"{name} {100 * share:.0f} %" for name, share in list(mode["participation"].items())[:4])
+        print(f"{mode['growth']:>8.2f}/s {mode['frequency']:>8.2f} Hz {mode['damping']:>8.3f}   {shares}")
+    print()
+    for line in sentences(record, quantity):
+        print(line)

@@ -12,11 +12,12 @@ import numpy as np
 from hil.lab.linear.delay_model import Array, DelayModel, memory, recurrence, refined
 from hil.lab.linear.section import Section, responses
 
-# 1/s. A slower drift cannot be told from none: the feet stay where they are put, and so do some integrals.
-STILL = 0.1
+# 1/s. A slower drift cannot be told from none: feet stay where they are put, integrals take seconds.
+STILL = 0.3
 _FLOOR = 5e-4  # of singular values of what passes through the delays, beside 1
 _TAIL = 4  # periods at the end in which nothing new can arrive
 _ABOVE_NOISE = 1.5
+_OSCILLATES, _MATTERS = 0.5, 30.0  # Hz, 1/s
 _SHARE = 0.04  # smallest participation worth telling
 
 
@@ -113,6 +114,28 @@ class Linearisation:
     def growth(self) -> float:
         """Of the dominant mode, 1/s: the loop is stable when it is negative."""
         return self.dominant.growth
+
+    def change(self, other: Linearisation) -> dict[str, float]:
+        """How far the modes that oscillate and matter, or if there is none the dominant one, move from here to
+        ``other``, with displacements of another size: largest change [1/s] of growth and of angular frequency."""
+        matter = [m for m in self.modes if m.frequency > _OSCILLATES and m.growth > -_MATTERS] or [self.dominant]
+        pairs = [(mode, other.like(mode)) for mode in matter]
+        return {
+            "growth": max(abs(a.growth - b.growth) for a, b in pairs),
+            "angular_frequency": max(2.0 * math.pi * abs(a.frequency - b.frequency) for a, b in pairs),
+            "noise": self.noise,
+        }
+
+    def record(self) -> dict[str, Any]:
+        """For JSON, in SI units: what the loop is and all its modes."""
+        return {
+            "states": len(self.names),
+            "memory": self.memory,
+            "order": len(self.model.matrix),
+            "growth": self.growth,
+            "dominant": self.dominant.record(),
+            "modes": [mode.record() for mode in self.modes],
+        }
 
     @property
     def eigenvalues(self) -> Array:

@@ -167,6 +167,13 @@ class OperatingPoint:
         """Longest way of data through the links and buses now, s."""
         return sum(float(value) for key, value in self.system.injector.values.items() if key.endswith(".delay"))
 
+    def with_value(self, quantity: Quantity, value: Value) -> Linearisation:
+        """The loop with ``quantity`` at ``value`` (SI)."""
+        if quantity.injectable:
+            return self.linearise({quantity.key: value})
+        with self.elsewhere(quantity, value) as moved:
+            return moved.linearise()
+
     def linearise(self, values: Mapping[str, Value] | None = None, scale: float = 1.0) -> Linearisation:
         """The loop with injectable ``values`` (SI); ``scale`` of the displacements."""
         section = self.section(values)

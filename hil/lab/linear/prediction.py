@@ -4,15 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 from scipy.optimize import brentq
 
 from hil.lab.linear.linearisation import Linearisation, Mode
 from hil.lab.linear.operating_point import OperatingPoint
-from hil.lab.quantity import Quantity
+from hil.lab.margin import Search
+from hil.lab.quantity import Quantity, Value
 
-_FINE = 0.01  # of the distance from where the search starts, if no resolution is asked for
+_FINENESS = 100  # without a resolution: the distance from the start over this
+
+
+class Point(Protocol):
+    """What can be linearised with a quantity at any value."""
+
+    def with_value(self, quantity: Quantity, value: Value) -> Linearisation: ...
 
 
 @dataclass(frozen=True)
@@ -30,7 +37,7 @@ class Step:
 @dataclass(frozen=True)
 class Prediction:
     """value: where the loop becomes unstable, None if it does not up to the end of the search, or is so from the start.
-    mode: what grows there. steps: all that was looked at, by value."""
+    mode: what grows there, or does from the start. steps: all that was looked at, by value."""
 
     value: float | None
     mode: Mode | None
@@ -45,23 +52,23 @@ class Prediction:
         }
 
 
-def predict(
-    point: OperatingPoint,
-    quantity: Quantity,
-    start: float,
-    step: float,
-    bound: float,
-    resolution: float | None = None,
-    done: Callable[[Step], None] = lambda _: None,
-) -> Prediction:
-    """Follow ``quantity`` from ``start`` in steps that double, the first ``step``, to ``bound``; where the loop has
-    become unstable, the root of the growth of the mode that did is searched within ``resolution``."""
+def predicted(search: Search, done: Callable[[Step], None] = lambda _: None) -> Prediction:
+    """The value that bisection of ``search`` would find, if the loop were linear. Raises UserError where the robot does
+    not stand on both feet at ``search.at``."""
+    with OperatingPoint(search.scenario, search.at) as point:
+        return predict(point, search, done)
+
+
+def predict(point: Point, search: Search, done: Callable[[Step], None] = lambda _: None) -> Prediction:
+    """Follow the quantity of ``search`` from its start, to its far end or in steps that double; where the loop has
+    become unstable, search the root of the growth of the mode that did."""
+    quantity, start = search.quantity, search.start
     steps: dict[float, Step] = {}
 
     def at(value: float) -> Linearisation:
         value = float(quantity.checked(value))
         if value not in steps:
-            steps[value] = Step(value, _linearised(point, quantity, value))
+            steps[value] = Step(value, point.with_value(quantity, value))
             done(steps[value])
         return steps[value].linearisation
 
@@ -70,16 +77,13 @@ def predict(
 
     if at(start).growth >= 0.0:
         return answer(None, at(start).dominant)
-    low, distance = start, step
-    while True:
-        high = start + distance
-        ends = abs(high - start) >= abs(bound - start)
-        high = bound if ends else high
+    low, high = start, start
+    for high in search.outwards():
         if at(high).growth >= 0.0:
             break
-        if ends:
-            return answer(None, None)
-        low, distance = high, 2.0 * distance
+        low = high
+    else:
+        return answer(None, None)
     grown = at(high).dominant
 
     def growth(value: float) -> float:
@@ -87,13 +91,6 @@ def predict(
         found = at(value)
         return found.growth if found.growth >= 0.0 else found.like(grown).growth
 
-    fine = _FINE * abs(high - start) if resolution is None else resolution
+    fine = abs(high - start) / _FINENESS if search.resolution is None else search.resolution
     value = float(brentq(growth, low, high, xtol=0.5 * fine))
     return answer(value, at(value).like(grown))
-
-
-def _linearised(point: OperatingPoint, quantity: Quantity, value: float) -> Linearisation:
-    if quantity.injectable:
-        return point.linearise({quantity.key: value})
-    with point.elsewhere(quantity, value) as moved:
-        return moved.linearise()

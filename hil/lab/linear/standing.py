@@ -27,7 +27,7 @@ from joint_firmware.laws.monitor import Monitor
 # Sizes of displacements (docs/linear-prediction.md shows what others would give).
 _ANGLE, _LENGTH = 1e-3, 1e-3  # rad, m, of free directions
 _ANGLE_RATE, _SPEED = 2e-2, 2e-2  # rad/s, m/s
-_FOOT, _FOOT_SPEED = 3e-6, 1e-3  # m, m/s
+_SINKING, _FOOT_SPEED = 0.4, 1e-3  # share of what the feet have sunk in by, m/s
 _ROTOR, _ROTOR_RATE = 2e-3, 0.1  # rad, rad/s
 _MEMORY = {"attitude": 1e-3, "velocity": 3e-2, "integral": 0.1, "internal": 2.0}  # of the controller: rad, rad/s, …
 _PROBE = 8  # periods after which a drive's memory has seen what it will
@@ -77,8 +77,11 @@ class StandingSection:
         self.names: tuple[str, ...] = (
             *names, *rates, *[f"{j} rotor" for j in joints], *[f"{j} rotor speed" for j in joints],
         )  # fmt: skip
-        speeds = [_FOOT_SPEED if size == _FOOT else _SPEED if name.startswith("CoM") else _ANGLE_RATE
-                  for name, size in zip(names, sizes, strict=True)]  # fmt: skip
+        feet = tuple(foot.name for foot in world.robot.feet)
+        speeds = [
+            _FOOT_SPEED if name.startswith(feet) else _SPEED if name.startswith("CoM") else _ANGLE_RATE
+            for name in names
+        ]
         self.sizes = np.array([*sizes, *speeds, *[_ROTOR] * self._n, *[_ROTOR_RATE] * self._n])
         self._physical = len(self.names)
         self._law_states: list[tuple[int, int]] = []  # joint, index
@@ -95,17 +98,17 @@ class StandingSection:
         rows, names, sizes = [], [], []
         for foot in robot.feet:
             geom = model.geom(foot.name).id
-            places = [c.pos for c in data.contact[: data.ncon] if geom in (c.geom1, c.geom2)]
-            if len(places) != 1:
+            contacts = [c for c in data.contact[: data.ncon] if geom in (c.geom1, c.geom2) and c.dist < 0.0]
+            if len(contacts) != 1:
                 raise UserError(
                     f"{foot.name} does not stand at {self._origin['now_ns'] * 1e-9:.3f} s: the robot can be linearised "
                     "while it stands on both feet (--at chooses another time)"
                 )
             jacobian = np.zeros((3, self._nv))
-            mujoco.mj_jac(model, data, jacobian, None, places[0], model.geom_bodyid[geom])
+            mujoco.mj_jac(model, data, jacobian, None, contacts[0].pos, model.geom_bodyid[geom])
             rows += list(jacobian)
             names += [f"{foot.name} {axis}" for axis in _AXES]
-            sizes += [_FOOT] * 3
+            sizes += [-_SINKING * contacts[0].dist] * 3
         com, turn = np.zeros((3, self._nv)), np.zeros((3, self._nv))
         mujoco.mj_jacSubtreeCom(model, data, com, torso)
         mujoco.mj_jacBody(model, data, None, turn, torso)
