@@ -157,10 +157,10 @@ def assemble(
                 )
         from plant.world import World
 
-        real = alter(description.load(scenario.robot, scenario.world.variant))
         world = World(
-            real, scenario.world.model_copy(update={"variant": None}), scenario.terrain, scenario.stance, scenario.sensors, scenario.push, random,
-            compile=compile_function, imu_rate=scenario.firmware.report_rate,
+            alter(description.load(scenario.robot, scenario.world.variant)),
+            scenario.world.model_copy(update={"variant": None}), scenario.terrain, scenario.stance, scenario.sensors,
+            scenario.push, random, compile=compile_function, imu_rate=scenario.firmware.report_rate,
         )  # fmt: skip
         from central_controller.controller import telemetry_fields
 

@@ -54,13 +54,15 @@ def _linearise(options: argparse.Namespace) -> int:
         near, far = (None, None) if options.ends is None else ends_of(options.ends, varied)
         fine = None if options.resolution is None else float(varied.parse(options.resolution))
         search = checked(Search(scenario, varied, at, near, far, fine))
-    with Counter(scenario.name, 2 if search is None else 11, "linearisations", sys.stderr) as progress:
-        with OperatingPoint(scenario, at) as point:
-            found = point.linearise()
-            progress.advance()
-            half = point.linearise(scale=0.5)
-            progress.advance()
-            prediction = None if search is None else predict(point, search, lambda _: progress.advance())
+    with (
+        Counter(scenario.name, 2 if search is None else 11, "linearisations", sys.stderr) as progress,
+        OperatingPoint(scenario, at) as point,
+    ):
+        found = point.linearise()
+        progress.advance()
+        half = point.linearise(scale=0.5)
+        progress.advance()
+        prediction = None if search is None else predict(point, search, lambda _: progress.advance())
     record = {
         "scenario": scenario.name,
         "at": at,

@@ -37,8 +37,9 @@ def sentences(record: Mapping[str, Any], quantity: Quantity | None) -> list[str]
     prediction = record.get("prediction")
     if prediction is not None and quantity is not None:
         if prediction["predicted"] is not None:
+            value = quantity.shown(prediction["predicted"])
             lines += [
-                f"predicted   {quantity.key} = {quantity.shown(prediction['predicted'])}: there the loop becomes unstable",
+                f"predicted   {quantity.key} = {value}: there the loop becomes unstable",
                 f"by          {_told(prediction['mode'])}",
             ]
         elif prediction["mode"] is not None:
@@ -62,8 +63,11 @@ def draw_eigenvalues(record: Mapping[str, Any]) -> Any:
     values = np.array([complex(*mode["eigenvalue"]) for mode in record["modes"]])
     turn = np.exp(1j * np.linspace(0.0, 2.0 * math.pi, 400))
     plane.plot(turn.real, turn.imag, color="tab:red", linewidth=1.0, label="limit of stability")
+    still = np.array([mode["still"] for mode in record["modes"]])
     inside = np.abs(values) < 1.0
-    for chosen, marker, colour in ((inside, ".", "tab:blue"), (~inside, "x", "tab:red")):
+    for chosen, marker, colour in (
+        (inside & ~still, ".", "tab:blue"), (~inside & ~still, "x", "tab:red"), (still, ".", "tab:gray"),
+    ):  # fmt: skip
         both = np.concatenate([values[chosen], values[chosen].conj()])
         plane.plot(both.real, both.imag, marker, color=colour, markersize=5)
     plane.set(xlabel="Re λ [1]", ylabel="Im λ [1]", aspect="equal", xlim=(-1.1, 1.1), ylim=(-1.1, 1.1))
@@ -71,9 +75,16 @@ def draw_eigenvalues(record: Mapping[str, Any]) -> Any:
     plane.legend(fontsize=8, loc="lower left")
     shown = [mode for mode in record["modes"] if mode["growth"] > -_FASTEST and mode["frequency"] < 60.0]
     slow.axvline(0.0, color="tab:red", linewidth=1.0)
-    slow.plot([m["growth"] for m in shown], [m["frequency"] for m in shown], ".", color="tab:blue", markersize=7)
-    named = [m for m in shown if m["frequency"] > 0.5][:6]
-    for mode in named:
+    for moves, colour, label in ((True, "tab:blue", None), (False, "tab:gray", "neither grow nor fade")):
+        kind = [mode for mode in shown if mode["still"] != moves]
+        slow.plot([m["growth"] for m in kind], [m["frequency"] for m in kind], ".", color=colour, markersize=7,
+                  label=label)  # fmt: skip
+    slow.legend(fontsize=8, loc="upper left")
+    named: dict[str, Mapping[str, Any]] = {}
+    for mode in shown:
+        if mode["frequency"] > 0.5 and len(named) < 6:
+            named.setdefault(next(iter(mode["participation"])), mode)
+    for mode in named.values():
         slow.annotate(
             next(iter(mode["participation"])), (mode["growth"], mode["frequency"]), fontsize=7,
             xytext=(4, 4), textcoords="offset points",
@@ -92,7 +103,10 @@ def draw_path(prediction: Mapping[str, Any], quantity: Quantity) -> Any:
     figure, axes = plt.subplots(figsize=(9, 3.4), layout="constrained")
     values, growth = [step["value"] * scale for step in path], [step["growth"] for step in path]
     axes.axhline(0.0, color="tab:red", linewidth=1.0, label="limit of stability")
-    axes.plot(values, growth, "o-", color="tab:blue", markersize=4, linewidth=0.8, label="dominant mode")
+    axes.plot(values, growth, "o", color="tab:blue", markersize=5, label="dominant mode")
+    if prediction["mode"] is not None:
+        followed, wave = [step["followed"] for step in path], prediction["mode"]["frequency"]
+        axes.plot(values, followed, ".-", color="k", linewidth=0.8, label=f"the mode that crosses, at {wave:.1f} Hz")
     if prediction["predicted"] is not None:
         label = f"predicted {quantity.shown(prediction['predicted'])}"
         axes.axvline(prediction["predicted"] * scale, color="tab:purple", linestyle="--", label=label)

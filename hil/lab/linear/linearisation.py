@@ -52,6 +52,7 @@ class Mode:
             "growth": self.growth,
             "frequency": self.frequency,
             "damping": self.damping,
+            "still": self.still,
             "participation": {name: share for name, share in self.shares if share >= 0.01},
         }
 

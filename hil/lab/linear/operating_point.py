@@ -76,8 +76,8 @@ def _moved(settled: dict[str, Any], fresh: dict[str, Any]) -> dict[str, Any]:
             {**old, "settings": new["settings"]} for old, new in zip(settled["joints"], fresh["joints"], strict=True)
         ],
         **{
-            part: [{**old, "impairment": new["impairment"]} for old, new in zip(settled[part], fresh[part], strict=True)]
-            for part in ("links", "wires")
+            part: [{**old, "impairment": new["impairment"]} for old, new in zip(settled[part], own, strict=True)]
+            for part, own in fresh.items() if part in ("links", "wires")
         },
         "injector": fresh["injector"],
     }

@@ -29,9 +29,16 @@ class Step:
     value: float
     linearisation: Linearisation
 
-    def record(self) -> dict[str, Any]:
+    def record(self, followed: Mode | None) -> dict[str, Any]:
+        """For JSON, with the growth of the mode that is like ``followed``."""
         mode = self.linearisation.dominant
-        return {"value": self.value, "growth": mode.growth, "frequency": mode.frequency, "mode": mode.told()}
+        return {
+            "value": self.value,
+            "growth": mode.growth,
+            "frequency": mode.frequency,
+            "mode": mode.told(),
+            "followed": None if followed is None else self.linearisation.like(followed).growth,
+        }
 
 
 @dataclass(frozen=True)
@@ -48,7 +55,7 @@ class Prediction:
         return {
             "predicted": self.value,
             "mode": None if self.mode is None else self.mode.record(),
-            "path": [step.record() for step in self.steps],
+            "path": [step.record(self.mode) for step in self.steps],
         }
 
 

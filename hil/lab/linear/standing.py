@@ -12,12 +12,13 @@ remembers. What a law remembers of a position is told relative to that position:
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any
+from typing import Any, cast
 
 import mujoco
 import numpy as np
 
 from central_controller.law import memory_names
+from hil.backends.inline import InlineJoints
 from hil.errors import UserError
 from hil.lab.linear.delay_model import Array
 from hil.lab.linear.section import trajectory
@@ -38,7 +39,7 @@ _TURNS = ("roll", "pitch", "yaw")
 
 
 def hyper_period(system: System) -> tuple[int, int]:
-    """Ticks of the joints, and the frequency in Hz, of what repeats itself: the least common multiple of all periods."""
+    """Ticks of the joints, and the frequency in Hz, of the least common multiple of all periods."""
     scenario = system.scenario
     rates = [
         int(rate)
@@ -67,7 +68,8 @@ class StandingSection:
         self._model = world.model
         self._n = len(world.robot.joints)
         self._nv, self._nq = self._model.nv, self._model.nq
-        self._laws = [node.law for node in system.joints.nodes]
+        self._nodes = cast(InlineJoints, system.joints).nodes
+        self._laws = [node.law for node in self._nodes]
         self._bank = world.actuators.symbols.state_index
         system.restore(origin)
         self._frame, names, sizes = self._coordinates()
@@ -216,7 +218,7 @@ class StandingSection:
         world = system.world
         return (
             world.data.qpos.copy(), world.data.qvel.copy(), world.actuators.state.copy(),
-            [np.array(node.x) for node in system.joints.nodes], system.controller.snapshot()["_memory"],
+            [np.array(node.x) for node in self._nodes], system.controller.snapshot()["_memory"],
         )  # fmt: skip
 
     def difference(self, first: Any, second: Any) -> Array:
