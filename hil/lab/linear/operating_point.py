@@ -106,10 +106,10 @@ class OperatingPoint:
                 raise UserError(
                     f"{scenario.name} without stiction does not stand until {at:g} s: {self.system.stop_reason}"
                 )
+            self.system.monitor = None  # it watches what goes on for long, not what is taken back
         else:
+            self.system.monitor = None
             self.system.restore(_moved(settled, self.system.snapshot()))
-        self.system.monitor = None  # it watches what goes on for long, not what is taken back
-        if settled is not None:
             self._run(self.now + _CALM)
         self._settled = self.system.snapshot()
 
