@@ -26,8 +26,8 @@ class Section(Protocol):
     def read(self) -> Any:
         """The reading at this moment."""
 
-    def displace(self, state: int, amount: float) -> None:
-        """Start at the section with one state displaced by ``amount``, in its own unit, and all else as it was."""
+    def displace(self, by: Array) -> None:
+        """Start at the section with the states displaced ``by`` (n,), each in its own unit, and all else as it was."""
 
     def difference(self, first: Any, second: Any) -> Array:
         """States of the first reading less those of the second, (n,)."""
@@ -41,17 +41,16 @@ def responses(section: Section, periods: int, scale: float = 1.0) -> Array:
     """
     n = len(section.names)
     found = np.empty((periods, n, n))
-    for state, size in enumerate(section.sizes):
-        ahead = trajectory(section, state, scale * size, periods)
-        behind = trajectory(section, state, -scale * size, periods)
+    for state, step in enumerate(scale * np.diag(section.sizes)):
+        ahead, behind = (trajectory(section, by, periods) for by in (step, -step))
         for k, (first, second) in enumerate(zip(ahead, behind, strict=True)):
             found[k, :, state] = section.difference(first, second) / (2.0 * scale * section.sizes)
     return found
 
 
-def trajectory(section: Section, state: int, amount: float, periods: int) -> list[Any]:
-    """Readings after each of ``periods`` from the section with one state displaced by ``amount``."""
-    section.displace(state, amount)
+def trajectory(section: Section, by: Array, periods: int) -> list[Any]:
+    """Readings after each of ``periods`` from the section with the states displaced ``by`` (n,)."""
+    section.displace(by)
     readings = []
     for _ in range(periods):
         section.advance()

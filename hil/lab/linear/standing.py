@@ -139,8 +139,10 @@ class StandingSection:
         names = memory_names(self._system.world.robot)
         self._law_states, self._memory = candidates, list(range(len(names)))
         swing = np.zeros(len(candidates) + len(names))
-        for state in range(self._physical):
-            ends = [trajectory(self, state, sign * self.sizes[state], _PROBE) for sign in (1.0, -1.0)]
+        for state, size in enumerate(self.sizes):
+            step = np.zeros(self._physical + len(swing))
+            step[state] = size
+            ends = [trajectory(self, by, _PROBE) for by in (step, -step)]
             for ahead, behind in zip(*ends, strict=True):
                 np.maximum(swing, np.abs(self.difference(ahead, behind)[self._physical :]) / 2.0, out=swing)
         of_law, of_memory = swing[: len(candidates)], swing[len(candidates) :]
@@ -154,28 +156,25 @@ class StandingSection:
 
     # --- the section ----------------------------------------------------------------------------------------
 
-    def displace(self, state: int, amount: float) -> None:
+    def displace(self, by: Array) -> None:
         origin = self._origin
         world, joints = origin["world"], origin["joints"]
         physics, bank = world["state"].copy(), world["actuators"][0].copy()
         laws = [joint["x"].copy() for joint in joints]
         memory = origin["controller"]["_memory"].copy()
-        kind, index = divmod(state, self._nv) if state < 2 * self._nv else (2, state - 2 * self._nv)
-        if kind == 0:
-            self._move(physics, laws, self._back[:, index] * amount)
-        elif kind == 1:
-            physics[1 + self._nq : 1 + self._nq + self._nv] += self._back[:, index] * amount
-        elif index < 2 * self._n:
-            rate, joint = divmod(index, self._n)
-            bank[self._bank[joint]["dtheta" if rate else "theta"]] += amount
-            if not rate:
-                for i in self._positions(joint, ("motor", "deflection")):
-                    laws[joint][i] += amount
-        elif index < 2 * self._n + len(self._law_states):
-            joint, i = self._law_states[index - 2 * self._n]
+        steps, speeds, thetas, rates, of_laws, of_memory = np.split(by, np.cumsum(
+            [self._nv, self._nv, self._n, self._n, len(self._law_states)]
+        ))  # fmt: skip
+        self._move(physics, laws, self._back @ steps)
+        physics[1 + self._nq : 1 + self._nq + self._nv] += self._back @ speeds
+        for joint, index in enumerate(self._bank):
+            bank[index["theta"]] += thetas[joint]
+            bank[index["dtheta"]] += rates[joint]
+            for i in self._positions(joint, ("motor", "deflection")):
+                laws[joint][i] += thetas[joint]
+        for (joint, i), amount in zip(self._law_states, of_laws, strict=True):
             laws[joint][i] += amount
-        else:
-            self._displace_memory(memory, self._memory[index - 2 * self._n - len(self._law_states)], amount)
+        self._displace_memory(memory, of_memory)
         self._system.restore({
             **origin,
             "world": {**world, "state": physics, "actuators": (bank, *world["actuators"][1:])},
@@ -198,15 +197,13 @@ class StandingSection:
             if encoder in encoders and what in ("position", "start", "before"):
                 yield i
 
-    def _displace_memory(self, memory: Array, index: int, amount: float) -> None:
-        if index >= 3:
-            memory[index + 1] += amount
-            return
-        turn = np.zeros(3)
-        turn[index] = amount
+    def _displace_memory(self, memory: Array, amounts: Array) -> None:
+        whole = np.zeros(len(memory) - 1)  # three turns in place of four numbers
+        whole[self._memory] = amounts
         quaternion = np.roll(memory[:4], 1)  # MuJoCo's order
-        mujoco.mju_quatIntegrate(quaternion, turn, 1.0)
+        mujoco.mju_quatIntegrate(quaternion, whole[:3], 1.0)
         memory[:4] = np.roll(quaternion, -1)
+        memory[4:] += whole[3:]
 
     def advance(self) -> None:
         self._k += 1

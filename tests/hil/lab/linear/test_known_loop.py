@@ -57,20 +57,16 @@ class BenchSection:
         self.under_way.append(int(memory.y_array[law.Y_DEMAND]))
         bench.step()
 
-    def displace(self, state, amount):
+    def displace(self, by):
         bench, memory, under_way = self.origin
         self.bench.restore(bench)
         self.memory.restore(memory)
         self.under_way = deque(under_way)
-        index = self.bench.actuator.symbols.state_index[0]
-        x, names = self.memory.x_array, self.law.states
-        if state > 1:
-            x[names.index(self.names[state])] += amount
-            return
-        self.bench.actuator.state[index[("theta", "dtheta")[state]]] += amount
-        if state == 0:  # the encoder does not jump
-            x[names.index("motor_position")] += amount
-            x[names.index("deflection_position")] += amount
+        index, x, names = self.bench.actuator.symbols.state_index[0], self.memory.x_array, self.law.states
+        self.bench.actuator.state[[index["theta"], index["dtheta"]]] += by[:2]
+        x[[names.index(name) for name in self.names[2:]]] += by[2:]
+        for name in ("motor_position", "deflection_position"):  # the encoder does not jump
+            x[names.index(name)] += by[0]
 
     def read(self):
         index, state = self.bench.actuator.symbols.state_index[0], self.bench.actuator.state

@@ -27,10 +27,10 @@ def nominal(point):
 
 def test_one_state_moves_when_one_is_displaced(point):
     section = point.section()
-    section.displace(0, 0.0)
+    section.displace(np.zeros(len(section.names)))
     before = section.read()
-    for state, size in enumerate(section.sizes):
-        section.displace(state, size)
+    for state, step in enumerate(np.diag(section.sizes)):
+        section.displace(step)
         moved = section.difference(section.read(), before) / section.sizes
         assert np.delete(moved, state) == pytest.approx(0.0, abs=2e-3), section.names[state]  # curvature
         assert moved[state] == pytest.approx(1.0, abs=2e-3)
@@ -38,15 +38,15 @@ def test_one_state_moves_when_one_is_displaced(point):
 
 def test_nothing_that_watches_trips_on_a_displacement(point):
     section = point.section()
-    for state, size in enumerate(section.sizes):
-        trajectory(section, state, size, 3)
+    for state, step in enumerate(np.diag(section.sizes)):
+        trajectory(section, step, 3)
         assert all(node.powered and node.fault == 0 for node in point.system.joints.nodes), section.names[state]
 
 
 def test_the_point_is_left_as_it_was(point):
     def reading():
         section = point.section()
-        section.displace(0, 0.0)
+        section.displace(np.zeros(len(section.names)))
         section.advance()
         return section.read(), section
 
@@ -86,10 +86,11 @@ def test_a_transient_of_the_emulation_is_the_mode_that_was_predicted(point, dela
     section = point.section({"link.command.delay": delay})
     world = point.system.world
     column = world.truth_fields.index("internal_force")
-    rotor = section.names.index("left_hip rotor")
+    step = np.zeros(len(section.names))
+    step[section.names.index("left_hip rotor")] = 1e-3
     both = []
     for sign in (1.0, -1.0):
-        section.displace(rotor, sign * 1e-3)
+        section.displace(sign * step)
         both.append([])
         for _ in range(700):
             section.advance()
