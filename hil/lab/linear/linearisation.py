@@ -59,11 +59,12 @@ class Mode:
 
 @dataclass(frozen=True)
 class Linearisation:
-    """names: of the states. noise: of the identified matrices' entries in displacements' sizes, what rounding and
+    """names: of the states. sizes: their units in ``model``. noise: of the identified matrices' entries in displacements' sizes, what rounding and
     curvature leave. memory: periods for which something is under way."""
 
     model: DelayModel
     names: tuple[str, ...]
+    sizes: Array
     noise: float
     memory: int
 
@@ -76,7 +77,7 @@ class Linearisation:
         noise = float(np.abs(matrices[-_TAIL:]).max())
         matrices = refined(found, matrices, _ABOVE_NOISE * noise)
         model = DelayModel.of(matrices, section.period, _FLOOR)
-        return cls(model, section.names, noise, memory(matrices))
+        return cls(model, section.names, section.sizes, noise, memory(matrices))
 
     def like(self, mode: Mode) -> Mode:
         """The mode in which the same takes part as in ``mode`` of another linearisation, at about its frequency."""
@@ -115,6 +116,11 @@ class Linearisation:
     def growth(self) -> float:
         """Of the dominant mode, 1/s: the loop is stable when it is negative."""
         return self.dominant.growth
+
+    def shape(self, mode: Mode) -> Array:
+        """The states' part of ``mode``'s eigenvector (n,), in the states' units; its size is arbitrary."""
+        values, vectors, _ = self.model.modes()
+        return vectors[:, int(np.argmin(np.abs(values - mode.eigenvalue)))] * self.sizes
 
     def change(self, other: Linearisation) -> dict[str, float]:
         """How far the modes that oscillate and matter, or if there is none the dominant one, move from here to

@@ -162,6 +162,14 @@ class OperatingPoint:
             self.system.inject(key, known.written(present + (wanted - present) * step / steps))
             self._run(self.now + _REST)
 
+    def take_parameters(self) -> None:
+        """Let the actuators' parameters, as they have been set by now, be those of this point."""
+        world = self._settled["world"]
+        parameters = self.system.world.actuators.snapshot()[-1]
+        self._settled = {
+            **self._settled, "world": {**world, "actuators": (*world["actuators"][:-1], parameters)},
+        }  # fmt: skip
+
     @property
     def delay(self) -> float:
         """Longest way of data through the links and buses now, s."""
