@@ -131,12 +131,15 @@ def _parser() -> argparse.ArgumentParser:
     inject.set_defaults(command=_inject)
 
     joint_command.add_parser(commands)
-    from hil.commands import linearise, margin, protection, replay
+    from hil.commands import map as map_command
+    from hil.commands import linearise, margin, protection, replay, sweep
 
     replay.add_parser(commands)
     protection.add_parser(commands)
     margin.add_parser(commands)
     linearise.add_parser(commands)
+    sweep.add_parser(commands)
+    map_command.add_parser(commands)
     eds.add_parser(commands)
     export.add_parser(commands)
     bus_command.add_parser(commands)

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from hil.lab.quantity import Quantity
 
 _TOLD = 12  # modes
+_ABOUT = 12  # linearisations that a prediction takes
 
 
 def add_parser(commands: Any) -> None:
@@ -55,14 +56,14 @@ def _linearise(options: argparse.Namespace) -> int:
         fine = None if options.resolution is None else float(varied.parse(options.resolution))
         search = checked(Search(scenario, varied, at, near, far, fine))
     with (
-        Counter(scenario.name, 2 if search is None else 11, "linearisations", sys.stderr) as progress,
+        Counter(scenario.name, 2 if search is None else _ABOUT, "linearisations", sys.stderr) as progress,
         OperatingPoint(scenario, at) as point,
     ):
         found = point.linearise()
-        progress.advance()
+        progress.show(1)
         half = point.linearise(scale=0.5)
-        progress.advance()
-        prediction = None if search is None else predict(point, search, lambda _: progress.advance())
+        progress.show(2)
+        prediction = None if search is None else predict(point, search, lambda steps: progress.show(2 + len(steps)))
     record = {
         "scenario": scenario.name,
         "at": at,

@@ -133,6 +133,11 @@ class Branch:
         """Why it failed before anything was injected, None if it has settled."""
         return self._settled["system"]["stop_reason"]
 
+    @property
+    def settled(self) -> float:
+        """How far it has been simulated to settle, s: ``at``, or less when it failed before."""
+        return self._settled["system"]["now_ns"] * 1e-9
+
     def outcome(self, values: Mapping[str, Value]) -> Outcome:
         """Continue to the scenario's end with ``values`` (as written) injected. Raises UserError for wrong ones."""
         experiment = self._experiment
@@ -153,10 +158,14 @@ def outcome(scenario: Scenario, seed: int) -> Outcome:
 class Trials:
     """Outcomes of ``scenario`` with other values of its quantities: those that are injectable are injected at ``at`` s,
     the others hold from the start. The last settled system is kept, for the next trial that differs by injected values
-    only. Use as a context manager, or ``close`` it."""
+    only. Use as a context manager, or ``close`` it.
+
+    simulated: time simulated so far, s; less than what the trials cover, by the settled parts that they share.
+    """
 
     def __init__(self, scenario: Scenario, at: float) -> None:
         self.scenario, self.at = scenario, at
+        self.simulated = 0.0
         self._settled: tuple[Any, Branch] | None = None
 
     def __enter__(self) -> Self:
@@ -175,10 +184,16 @@ class Trials:
         injected = {q.key: q.written(value) for q, value in quantities.items() if q.injectable}
         fixed = {q.key: q.written(value) for q, value in quantities.items() if not q.injectable}
         if not injected:
-            return outcome(changed(self.scenario, fixed), seed)
+            found = outcome(changed(self.scenario, fixed), seed)
+            self.simulated += found.simulated
+            return found
         name = seed, fixed
         if self._settled is None or self._settled[0] != name:
             self.close()
             scenario = changed(self.scenario, fixed) if fixed else self.scenario
             self._settled = name, Branch(scenario, seed, self.at)
-        return self._settled[1].outcome(injected)
+            self.simulated += self._settled[1].settled
+        branch = self._settled[1]
+        found = branch.outcome(injected)
+        self.simulated += found.simulated - branch.settled
+        return found

@@ -165,13 +165,13 @@ def _rounded(search: Search, value: float) -> float:
 
 
 def margins(
-    search: Search, seeds: Sequence[int], jobs: int, done: Callable[[SeedMargin], None] = lambda _: None
+    search: Search, seeds: Sequence[int], jobs: int, done: Callable[[int], None] = lambda _: None
 ) -> list[SeedMargin]:
-    """One search per seed, ``jobs`` at a time, in the order of ``seeds``; ``done`` is told of each as it comes."""
+    """One search per seed, ``jobs`` at a time, in the order of ``seeds``; ``done`` is told how many have ended."""
     found = {}
     for margin in parallel(margin_of_seed, [(search, seed) for seed in seeds], jobs):
         found[margin.seed] = margin
-        done(margin)
+        done(len(found))
     return [found[seed] for seed in seeds]
 
 

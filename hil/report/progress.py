@@ -60,7 +60,7 @@ class Counter:
     On a stream that is no terminal nothing at all.
     """
 
-    def __init__(self, title: str, total: int, what: str, stream: IO[str], done: int = 0) -> None:
+    def __init__(self, title: str, total: int, what: str, stream: IO[str]) -> None:
         console = Console(file=stream)
         self._progress = Progress(
             TextColumn("{task.description}"),
@@ -76,7 +76,7 @@ class Counter:
             disable=not console.is_terminal,
             transient=True,
         )
-        self._task = self._progress.add_task(title, total=total, completed=done, text="")
+        self._task = self._progress.add_task(title, total=total, text="")
 
     def __enter__(self) -> Counter:
         self._progress.start()
@@ -85,6 +85,6 @@ class Counter:
     def __exit__(self, *_: object) -> None:
         self._progress.stop()
 
-    def advance(self, text: str = "") -> None:
-        """One more is done; ``text`` is shown."""
-        self._progress.update(self._task, advance=1, text=text)
+    def show(self, done: int, text: str = "") -> None:
+        """``done`` of them are; ``text`` is shown."""
+        self._progress.update(self._task, completed=done, text=text)

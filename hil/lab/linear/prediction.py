@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -59,14 +59,32 @@ class Prediction:
         }
 
 
-def predicted(search: Search, done: Callable[[Step], None] = lambda _: None) -> Prediction:
+def predicted(search: Search, done: Callable[[Mapping[float, Step]], None] = lambda _: None) -> Prediction:
     """The value that bisection of ``search`` would find, if the loop were linear. Raises UserError where the robot does
     not stand on both feet at ``search.at``."""
     with OperatingPoint(search.scenario, search.at) as point:
         return predict(point, search, done)
 
 
-def predict(point: Point, search: Search, done: Callable[[Step], None] = lambda _: None) -> Prediction:
+def parting(search: Search, prediction: Prediction, margin: float | None, reasons: Sequence[str]) -> str | None:
+    """Why ``margin`` and prediction are further apart than a period of the controller, or if it is no time a twentieth:
+    one sentence; None if they are not. ``reasons``: verdicts of the smallest values that were found unstable."""
+    if prediction.value is None or margin is None:
+        return None
+    apart = margin - prediction.value
+    near = 1.0 / search.scenario.controller.rate if search.quantity.unit == "s" else 0.05 * abs(prediction.value)
+    if abs(apart) <= near:
+        return None
+    outwards = apart if search.far is None or search.far > search.start else -apart
+    told = search.quantity.shown(abs(apart))
+    if outwards > 0.0 and search.scenario.world.friction_scale > 0.0:
+        return f"{told} beyond the prediction: dry friction holds small oscillations that the linear loop lets grow"
+    common = max(set(reasons), key=reasons.count) if reasons else "unknown"
+    side = "beyond" if outwards > 0.0 else "short of"
+    return f"{told} {side} the prediction, and not by growth from small deviations: {common}"
+
+
+def predict(point: Point, search: Search, done: Callable[[Mapping[float, Step]], None] = lambda _: None) -> Prediction:
     """Follow the quantity of ``search`` from its start, to its far end or in steps that double; where the loop has
     become unstable, search the root of the growth of the mode that did."""
     quantity, start = search.quantity, search.start
@@ -76,7 +94,7 @@ def predict(point: Point, search: Search, done: Callable[[Step], None] = lambda 
         value = float(quantity.checked(value))
         if value not in steps:
             steps[value] = Step(value, point.with_value(quantity, value))
-            done(steps[value])
+            done(steps)
         return steps[value].linearisation
 
     def answer(value: float | None, mode: Mode | None) -> Prediction:

@@ -1,0 +1,16 @@
+"""Libraries that only parts of the stability lab need, and that are not installed with everything else."""
+
+from __future__ import annotations
+
+import importlib
+
+from hil.errors import UserError
+
+
+def require(*modules: str) -> None:
+    """Raise UserError, before any work is done in vain, when one of ``modules`` is not there."""
+    for name in modules:
+        try:
+            importlib.import_module(name)
+        except ImportError:
+            raise UserError(f"this needs {name}, which is not installed: pip install 'hume-hil[lab]'") from None
