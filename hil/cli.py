@@ -131,8 +131,8 @@ def _parser() -> argparse.ArgumentParser:
     inject.set_defaults(command=_inject)
 
     joint_command.add_parser(commands)
-    from hil.commands import map as map_command
     from hil.commands import linearise, margin, protection, replay, sweep
+    from hil.commands import map as map_command
 
     replay.add_parser(commands)
     protection.add_parser(commands)

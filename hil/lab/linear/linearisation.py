@@ -59,8 +59,8 @@ class Mode:
 
 @dataclass(frozen=True)
 class Linearisation:
-    """names: of the states. sizes: their units in ``model``. noise: of the identified matrices' entries in displacements' sizes, what rounding and
-    curvature leave. memory: periods for which something is under way."""
+    """names: of the states. sizes: their units in ``model``. noise: of the identified matrices' entries in these units,
+    what rounding and curvature leave. memory: periods for which something is under way."""
 
     model: DelayModel
     names: tuple[str, ...]

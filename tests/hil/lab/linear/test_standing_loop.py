@@ -118,7 +118,7 @@ def test_a_drives_gain_is_changed_while_the_robot_stands(point, nominal):
 
 
 def test_a_robot_that_hangs_is_refused():
-    with OperatingPoint(load("stand"), 0.02) as point, pytest.raises(UserError, match="drive is off|does not stand"):
+    with OperatingPoint(load("stand"), 0.02) as point, pytest.raises(UserError, match=r"drive is off|does not stand"):
         point.linearise()
 
 
