@@ -24,7 +24,7 @@ _FRICTION = ("coulomb", "static", "load_friction")
 def main() -> None:
     delay = float(sys.argv[1]) * 1e-3 if len(sys.argv) > 1 else 12e-3
     values = {"link.command.delay": delay}
-    with OperatingPoint(load("split-terrain", ["controller.path.kind=hold"]), 3.0) as point:
+    with OperatingPoint(load("split-terrain"), 3.0) as point:
         bank, world = point.system.world.actuators, point.system.world
         joints = range(len(bank.names))
         truth = dict(zip(world.truth_fields, world.truth(), strict=True))

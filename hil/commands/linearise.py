@@ -91,9 +91,12 @@ def _print(record: dict[str, Any], quantity: Quantity | None) -> None:
     from hil.report.linear_page import sentences
 
     print(f"{'growth':>10} {'frequency':>11} {'damping':>8}   takes part")
-    for mode in record["modes"][:_TOLD]:
+    moving = [mode for mode in record["modes"] if not mode["still"]]
+    for mode in moving[:_TOLD]:
         shares = ", ".join(f"{name} {100 * share:.0f} %" for name, share in list(mode["participation"].items())[:4])
         print(f"{mode['growth']:>8.2f}/s {mode['frequency']:>8.2f} Hz {mode['damping']:>8.3f}   {shares}")
+    still = len(record["modes"]) - len(moving)
+    print(f"left out: {still} that drift slowly, if at all (feet, integrals), {len(moving) - _TOLD} that fade faster")
     print()
     for line in sentences(record, quantity):
         print(line)

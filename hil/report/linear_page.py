@@ -75,7 +75,7 @@ def draw_eigenvalues(record: Mapping[str, Any]) -> Any:
     plane.legend(fontsize=8, loc="lower left")
     shown = [mode for mode in record["modes"] if mode["growth"] > -_FASTEST and mode["frequency"] < 60.0]
     slow.axvline(0.0, color="tab:red", linewidth=1.0)
-    for moves, colour, label in ((True, "tab:blue", None), (False, "tab:gray", "neither grow nor fade")):
+    for moves, colour, label in ((True, "tab:blue", None), (False, "tab:gray", "drifts slowly, if at all")):
         kind = [mode for mode in shown if mode["still"] != moves]
         slow.plot([m["growth"] for m in kind], [m["frequency"] for m in kind], ".", color=colour, markersize=7,
                   label=label)  # fmt: skip
@@ -110,11 +110,11 @@ def draw_path(prediction: Mapping[str, Any], quantity: Quantity) -> Any:
     if prediction["predicted"] is not None:
         label = f"predicted {quantity.shown(prediction['predicted'])}"
         axes.axvline(prediction["predicted"] * scale, color="tab:purple", linestyle="--", label=label)
-    for step in path:
-        if step["growth"] > 0.0:
-            text = f"{step['frequency']:.1f} Hz"
-            axes.annotate(text, (step["value"] * scale, step["growth"]), fontsize=7, xytext=(4, -8),
-                          textcoords="offset points")  # fmt: skip
+    last = max(path, key=lambda step: abs(step["value"] - path[0]["value"]))
+    if last["growth"] > 0.0:
+        at = (last["value"] * scale, last["growth"])
+        text = f"{last['frequency']:.1f} Hz"
+        axes.annotate(text, at, fontsize=8, xytext=(-6, -12), textcoords="offset points", ha="right")
     axes.set(xlabel=f"{quantity.key}{f' [{unit}]' if unit else ''}", ylabel="growth ln|λ| / period [1/s]")
     axes.grid(alpha=0.3)
     axes.legend(fontsize=8)

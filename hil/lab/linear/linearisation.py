@@ -12,8 +12,9 @@ import numpy as np
 from hil.lab.linear.delay_model import Array, DelayModel, memory, recurrence, refined
 from hil.lab.linear.section import Section, responses
 
-# 1/s. A slower drift cannot be told from none: feet stay where they are put, integrals take seconds.
-STILL = 0.3
+# What drifts more slowly cannot be told from what stays: feet where they are put, integrals that take seconds. Rounding
+# alone moves such modes by some tenths.
+_STILL, _WAVE = 1.0, 0.1  # 1/s, Hz
 _FLOOR = 5e-4  # of singular values of what passes through the delays, beside 1
 _TAIL = 4  # periods at the end in which nothing new can arrive
 _ABOVE_NOISE = 1.5
@@ -34,7 +35,7 @@ class Mode:
     @property
     def still(self) -> bool:
         """Whether it neither grows nor fades as far as one can tell."""
-        return abs(self.growth) < STILL and self.frequency < STILL
+        return abs(self.growth) < _STILL and self.frequency < _WAVE
 
     @property
     def damping(self) -> float:

@@ -20,6 +20,7 @@ SMOOTH: dict[str, Value] = {
     "world.friction_scale": 0.0,
     "sensors.noise": 0.0,
     "sensors.bias": 0.0,
+    "controller.path.kind": "hold",
     "firmware.heartbeat_period": "0 s",  # the frames behind one are late
 }
 # By how much finer sensors and current loops are, as far as the 32 bits of the counts go, and the IMU's 16.
@@ -37,8 +38,8 @@ _CALM = 0.02  # s from the last change to the section
 
 
 def smooth(scenario: Scenario) -> Scenario:
-    """``scenario`` without dry friction, noise, bias, and faults to come."""
-    return changed(scenario, SMOOTH).model_copy(update={"inject": ()})
+    """``scenario`` of a robot that only stands, without dry friction, noise, bias, pushes, and faults to come."""
+    return changed(scenario, SMOOTH).model_copy(update={"inject": (), "push": ()})
 
 
 def fine(robot: Robot) -> Robot:

@@ -44,7 +44,7 @@ class Step:
 @dataclass(frozen=True)
 class Prediction:
     """value: where the loop becomes unstable, None if it does not up to the end of the search, or is so from the start.
-    mode: what grows there, or does from the start. steps: all that was looked at, by value."""
+    mode: what grows just beyond it, or from the start. steps: all that was looked at, by value."""
 
     value: float | None
     mode: Mode | None
@@ -118,4 +118,6 @@ def predict(point: Point, search: Search, done: Callable[[Mapping[float, Step]],
 
     fine = abs(high - start) / _FINENESS if search.resolution is None else search.resolution
     value = float(brentq(growth, low, high, xtol=0.5 * fine))
-    return answer(value, at(value).like(grown))
+    beyond = [step for step in steps.values() if step.linearisation.growth >= 0.0]
+    nearest = min(beyond, key=lambda step: abs(step.value - value))
+    return answer(value, nearest.linearisation.dominant)

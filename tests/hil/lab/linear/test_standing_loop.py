@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-import scipy.linalg
 
+from hil.analysis.damped_waves import damped_waves
 from hil.errors import UserError
 from hil.lab.linear.linearisation import Linearisation
 from hil.lab.linear.operating_point import OperatingPoint
@@ -70,16 +70,6 @@ def test_modes_of_the_controllers_filters_are_those_of_its_constants(nominal):
     assert yaw.shares[0][0] == "controller's attitude yaw"
 
 
-def exponents(values, dt, order=30):
-    """Exponents [1/s] and amplitudes of a sum of ``order`` damped waves through ``values`` (matrix pencil)."""
-    half = len(values) // 2
-    hankel = np.array([values[i : i + half + 1] for i in range(len(values) - half)])
-    u, s, v = scipy.linalg.svd(hankel[:, :-1], full_matrices=False)
-    poles = np.linalg.eigvals((u[:, :order] / s[:order]).T @ hankel[:, 1:] @ v[:order].T)
-    modes = np.vander(poles, len(values), increasing=True).T
-    return np.log(poles) / dt, np.linalg.lstsq(modes, values.astype(complex), rcond=None)[0]
-
-
 @pytest.mark.parametrize("delay", [0.0, 3e-3, DELAY])
 def test_a_transient_of_the_emulation_is_the_mode_that_was_predicted(point, delay):
     found = point.linearise({"link.command.delay": delay})
@@ -96,15 +86,13 @@ def test_a_transient_of_the_emulation_is_the_mode_that_was_predicted(point, dela
             section.advance()
             both[-1].append(world.truth()[column])
     force = (np.array(both[0]) - both[1])[60:]
-    measured, amplitudes = exponents(force[::4], 4 * section.period)
-    waves = [(abs(a), e) for a, e in zip(amplitudes, measured, strict=True) if 10 < e.imag / 2 / np.pi < 30]
-    wave = max(waves)[1]
+    wave = next(w for w in damped_waves(force[::4], 4 * section.period) if 10 < w.frequency < 30)
     mode = min(
         (m for m in found.modes if m.frequency > 1),
-        key=lambda m: abs(complex(m.growth, 2 * np.pi * m.frequency) - wave),
+        key=lambda m: abs(complex(m.growth - wave.growth, 2 * np.pi * (m.frequency - wave.frequency))),
     )
-    assert mode.frequency == pytest.approx(wave.imag / (2 * np.pi), rel=0.005)
-    assert mode.growth == pytest.approx(wave.real, abs=0.02 * abs(wave.real) + 0.1)
+    assert mode.frequency == pytest.approx(wave.frequency, rel=0.005)
+    assert mode.growth == pytest.approx(wave.growth, abs=0.02 * abs(wave.growth) + 0.1)
     assert "controller's internal force" in dict(mode.shares[:5])
 
 
