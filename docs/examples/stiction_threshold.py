@@ -66,12 +66,12 @@ def main() -> None:
         point.take_parameters()
         section = point.section(values)
         quarter = 0.25 / mode.frequency
-        for share in (0.5, 0.7, 0.85, 1.0, 1.2, 1.5, 2.0):
+        for share in (0.5, 1.0, 1.25, 1.5, 2.0, 2.5, 3.0):
             readings = trajectory(section, share * balance * towards, 600)
             speed = np.array([section.difference(reading, readings[-1])[speeds[hip]] for reading in readings])
             window = int(4 * quarter / section.period)
             first, last = (np.ptp(part) / 2 for part in (speed[window : 2 * window], speed[-window:]))
-            print(f"  {share:4.2f} of it: {first:.2f} rad/s in the second period, {last:.2f} rad/s after 0.4 s")
+            print(f"  {share:4.2f} of it kicked: {first:.2f} rad/s in the second period, {last:.2f} rad/s after 0.4 s")
 
 
 if __name__ == "__main__":
