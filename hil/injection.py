@@ -105,9 +105,15 @@ def _range(field: FieldInfo, unit: str) -> str:
         return ", ".join(map(str, typing.get_args(field.annotation)))
     if field.annotation is str:
         return "IDENTIFIER BIT [ATTEMPT]"
-    low = next(m.ge for m in field.metadata if isinstance(m, annotated_types.Ge))
-    high = next(m.le for m in field.metadata if isinstance(m, annotated_types.Le))
+    low, high = _bounds(field)
     return f"{low:g} to {high:g}{' ' + unit if unit else ''}"
+
+
+def _bounds(field: FieldInfo) -> tuple[float, float]:
+    """The least and the greatest value that ``field`` takes, of all that its type and its own annotation demand."""
+    low = max(m.ge for m in field.metadata if isinstance(m, annotated_types.Ge))  # type: ignore[type-var]
+    high = min(m.le for m in field.metadata if isinstance(m, annotated_types.Le))  # type: ignore[type-var]
+    return low, high  # type: ignore[return-value]
 
 
 Set = Callable[[str, Any, int], None]  # key, value in SI units, time in ns

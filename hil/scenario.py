@@ -15,6 +15,7 @@ from bus.config import BusConfig, LinkConfig
 from central_controller.config import ControllerConfig
 from hil import schema
 from hil.analysis.verdict import VerdictConfig
+from hil.calibration import file as calibration
 from hil.errors import UserError
 from joint_firmware.config import FirmwareConfig
 from plant.config import JointFaults, PushConfig, SensorConfig, StanceConfig, TerrainConfig, WorldConfig
@@ -72,13 +73,16 @@ def load(
     Raises UserError with the key's path and what would be right.
     """
     data, source = _read(name)
-    for key, value in settings.items() if isinstance(settings, Mapping) else map(_setting, settings):
+    pairs = list(settings.items() if isinstance(settings, Mapping) else map(_setting, settings))
+    for key, value in pairs:
         if not isinstance(key, str) or not all(part.strip() for part in key.split(".")):
             raise UserError(f"{key!r} is no key; one is, for example, 'link.command.delay'")
         assign(data, key.strip(), _literal(value.strip()) if isinstance(value, str) else value)
     if inject:
         own = data.get("inject", [])
         data["inject"] = [*own, *inject] if isinstance(own, list) else own
+    folder = Path(source).parent if source.endswith(".toml") else Path()
+    _calibrate(data, folder, [key.strip() for key, _ in pairs])
     return complete(data, source)
 
 
@@ -87,6 +91,18 @@ def _setting(text: str) -> tuple[str, str]:
     if not separator or not all(part.strip() for part in key.split(".")):
         raise UserError(f"--set {text}: expected KEY=VALUE, for example --set link.command.delay=3ms")
     return key, value
+
+
+def _calibrate(data: dict[str, Any], folder: Path, keys: typing.Sequence[str]) -> None:
+    """Take over the file that ``firmware.calibration`` names: beside the scenario, or if one of the ``keys`` set, from
+    here."""
+    if f"firmware.{calibration.KEY}" in keys:
+        folder = Path()
+    try:
+        robot = description.load(data.get("robot", Scenario.model_fields["robot"].default))
+    except (description.UnknownRobotError, AttributeError, TypeError):
+        return  # which the scenario's own check tells
+    calibration.take_over(data, robot, folder)
 
 
 def complete(data: dict[str, Any], source: str) -> Scenario:
@@ -231,6 +247,10 @@ def _inconsistencies(scenario: Scenario) -> Iterator[str]:
     ):
         if value <= 0:
             yield f"{key} = {value:g} s: expected more than 0 s"
+    for name in scenario.sensors.encoder_offset:
+        if name not in robot.joint_names:
+            near = schema.nearest(name, robot.joint_names, "sensors.encoder_offset")
+            yield f"unknown key {f'sensors.encoder_offset.{name}'!r}{near}"
     yield from _wrong_laws(firmware, robot)
     yield from _wrong_faults(scenario, robot)
 

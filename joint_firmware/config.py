@@ -15,6 +15,7 @@ from robots.quantities import (
     Hertz,
     NewtonMetres,
     Probability,
+    Radians,
     Seconds,
     SignedAmperes,
     TorquePerRadian,
@@ -66,18 +67,19 @@ class GainChange(Config):
         return gains.model_copy(update=self.model_dump(exclude_none=True))
 
 
-class JointGains(Config):
-    """Gains of one joint where they are not those of all (Kim 2018 Tables 2.1, 7.1)."""
+class JointConfig(Config):
+    """What one joint has of its own: gains where they are not those of all (Kim 2018 Tables 2.1, 7.1), calibration."""
 
     stance: GainChange = GainChange()
     swing: GainChange = GainChange()
+    encoder_offset: Radians = 0.0  # what its absolute encoder reads at 0 rad
 
 
-def _with_a_difference(joints: dict[str, JointGains]) -> dict[str, JointGains]:
-    return {name: own for name, own in joints.items() if own != JointGains()}
+def _with_a_difference(joints: dict[str, JointConfig]) -> dict[str, JointConfig]:
+    return {name: own for name, own in joints.items() if own != JointConfig()}
 
 
-JointsGains = Annotated[dict[str, JointGains], AfterValidator(_with_a_difference)]
+JointConfigs = Annotated[dict[str, JointConfig], AfterValidator(_with_a_difference)]
 
 
 class FirmwareConfig(Config):
@@ -96,7 +98,7 @@ class FirmwareConfig(Config):
     velocity_window: Seconds = 0.002  # M, M/T: gate time
     stance: Annotated[TorqueGains, _completed(_STANCE)] = _STANCE
     swing: Annotated[TorqueGains, _completed(_SWING)] = _SWING
-    joints: JointsGains = Field(default_factory=dict)
+    joints: JointConfigs = Field(default_factory=dict)
     torque_rate_cutoff: Hertz = 60.0  # PD_f, valve: of the sensed torque's derivative; not printed in Kim 2018
     observer_cutoff: Hertz = 15.0  # PD_m+DOB: Kim 2018 §5.3.2
     velocity_integral: Gain = 20.0  # cascade, 1/s: integral over proportional gain of the inner velocity loop
@@ -115,7 +117,7 @@ class FirmwareConfig(Config):
 
     def of_joint(self, name: str) -> FirmwareConfig:
         """That of one joint's drive."""
-        own = self.joints.get(name, JointGains())
+        own = self.joints.get(name, JointConfig())
         return self.model_copy(
             update={"joints": {}, "stance": own.stance.of(self.stance), "swing": own.swing.of(self.swing)}
         )
@@ -128,4 +130,5 @@ class Settings(NamedTuple):
     joint: Joint
     motor_offset: float = 0.0  # rad
     spring_offset: float = 0.0  # rad
+    joint_offset: float = 0.0  # rad
     gain_set: int = GainSet.STANCE  # while no command frame names one

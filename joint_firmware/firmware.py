@@ -15,16 +15,18 @@ from bus.frames import Frame
 from bus.messages import GainSet, Mode
 from joint_firmware import registers
 from joint_firmware.communication import Communication
-from joint_firmware.config import FirmwareConfig, Settings
+from joint_firmware.config import FirmwareConfig, JointConfig, Settings
 from joint_firmware.drive import POWERED, DriveState, transition
 from joint_firmware.laws import Offsets, drive_law
 from joint_firmware.laws import signals as law
+from joint_firmware.laws.load_cell import has_load_cell
 from joint_firmware.memory import LawMemory
 from joint_firmware.object_dictionary import AbortCode, SdoAbort
 from joint_firmware.objects import drive_dictionary
 from joint_firmware.protection import BRAKING_MASK, REACTIONS, Reaction, first
 from joint_firmware.sdo import NEVER
 from joint_firmware.setpoints import MODES, Setpoints, weights
+from joint_firmware.synchronisation import Synchronisation, recalibrated
 from robots import pins
 from robots.description import Robot
 
@@ -63,6 +65,7 @@ class JointFirmware:
         bus = next(bus for bus in robot.buses if joint.name in bus.joints)
         self.name, self.node_id = joint.name, joint.node_id
         self._state_id = messages.STATE + joint.node_id
+        joint_offset = config.joints.get(joint.name, JointConfig()).encoder_offset
         config = config.of_joint(joint.name)
         rate = config.rate
         if rate % config.report_rate:
@@ -70,7 +73,8 @@ class JointFirmware:
             raise ValueError(f"rate ({rate:g} Hz) must be a multiple of report_rate ({slow:g} Hz)")
         self._ticks_per_report = round(rate / config.report_rate)
         self._quick_stop_ticks = round(config.quick_stop_time * rate)
-        self._defaults = Settings(config, joint)
+        self._boot_ticks = round(config.boot_time * rate)
+        self._defaults = Settings(config, joint, joint_offset=joint_offset)
 
         self.law = drive_law(joint, config)
         self._started = self.law.states.index("started")
@@ -83,9 +87,8 @@ class JointFirmware:
         self._sent: list[Frame] = []  # what the tick under way has to send
         self.reset()
         self.dictionary = drive_dictionary(robot, joint, config)
-        boot_ticks = round(config.boot_time * rate)
         self._communication = Communication(
-            self.dictionary, self, rate, boot_ticks, self._ticks_per_report, config.heartbeat_period
+            self.dictionary, self, rate, self._boot_ticks, self._ticks_per_report, config.heartbeat_period
         )
         registers.connect(self.dictionary, self)
 
@@ -103,6 +106,8 @@ class JointFirmware:
         self._malformed = 0
         self._senseless = 0  # command frames in a row that were not acted upon
         self.configure(**self._defaults._asdict())
+        self._synchronisation = Synchronisation(self._boot_ticks)
+        self.referenced = has_load_cell(self.settings.joint)  # else no position means anything yet
 
     def configure(self, **changes: Any) -> None:
         """Change ``settings``, from this tick on."""
@@ -110,10 +115,10 @@ class JointFirmware:
         self.settings = settings = previous._replace(**changes)
         config = settings.config
         self._watchdog_ticks = max(round(config.watchdog * config.rate), 1)
-        offsets = Offsets(settings.motor_offset, settings.spring_offset)
+        offsets = Offsets(settings.motor_offset, settings.spring_offset, settings.joint_offset)
         self._law.p_array[:] = values = self.law.values(settings.joint, config, offsets)
         self._setpoints.configure(config, dict(zip(self.law.parameters, values.tolist(), strict=True)))
-        if (settings.joint.sensor, settings[2:4]) != (previous.joint.sensor, previous[2:4]):
+        if (settings.joint.sensor, settings[2:5]) != (previous.joint.sensor, previous[2:5]):
             self.x[self._started] = 0.0  # a step of the calibration is no motion
         if self._command_counter is None:
             self.gain_set = settings.gain_set
@@ -188,6 +193,8 @@ class JointFirmware:
             self._supervise(tick, sent)
         y, out = self.y, self._out
         self._counts[:] = self._pins
+        if not self.referenced:
+            self._synchronise()
         self._evaluate()
         self.x[:] = self._x_next
         if y[_Y_TRIPS]:
@@ -203,6 +210,18 @@ class JointFirmware:
             communication.serve(tick, sent)
         self.ticks = tick + 1
         return sent
+
+    def _synchronise(self) -> None:
+        """Find the motor's zero; it is found before the node boots, and so before there is power or protection."""
+        self._synchronisation.add(self._in, self.settings)
+        if self._synchronisation.done:
+            self.referenced = True
+            self.configure(motor_offset=self._synchronisation.motor_offset)
+            self._law.restart()  # what it has sensed so far is of no position
+
+    def recalibrated(self, joint_offset: float) -> dict[str, float]:
+        """What of the settings changes where the absolute encoder reads ``joint_offset`` [rad] at 0 rad."""
+        return recalibrated(self.settings, joint_offset, self.y[law.Y_POSITION_SI])
 
     def _accept(self, data: bytes, sent: list[Frame]) -> None:
         """Take over a command unless it is malformed or not newer than the one in force (a link may reorder).
@@ -379,7 +398,7 @@ class JointFirmware:
 
     _PLAIN = (
         "ticks", "_drive", "controlword", "mode", "gain_set", "_command_counter", "_command_tick", "_stop_tick",
-        "fault", "_malformed", "_senseless",
+        "fault", "_malformed", "_senseless", "referenced",
     )  # fmt: skip
 
     def snapshot(self) -> dict[str, Any]:
@@ -388,6 +407,7 @@ class JointFirmware:
         return {
             **plain,
             "settings": tuple(self.settings),
+            "synchronisation": self._synchronisation.snapshot(),
             "communication": self._communication.snapshot(),
             **self._law.snapshot(),
         }
@@ -396,5 +416,6 @@ class JointFirmware:
         for name in self._PLAIN:
             setattr(self, name, state[name])
         self.configure(**Settings(*state["settings"])._asdict())
+        self._synchronisation.restore(state["synchronisation"])
         self._communication.restore(state["communication"])
         self._law.restore(state)

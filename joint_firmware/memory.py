@@ -54,6 +54,10 @@ class LawMemory:
         call.memory = buffer, result  # type: ignore[attr-defined]  # CasADi keeps addresses only
         return call
 
+    def restart(self) -> None:
+        """Forget the state; commands and parameters stay."""
+        self.x_array[:] = 0.0
+
     def clear(self) -> None:
         """As after power-on; parameters stay."""
         self.x_array[:] = self.u_array[:] = self.y_array[:] = 0.0

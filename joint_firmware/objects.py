@@ -31,6 +31,7 @@ from robots.description import Joint, Robot
 
 HISTORY = 8  # errors that 0x1003 remembers
 PER_MILLE = 1000
+_TURN = 6.3  # rad
 _U8, _U16, _U32 = DataType.UNSIGNED8, DataType.UNSIGNED16, DataType.UNSIGNED32
 _I8, _I16, _I32, _F32 = DataType.INTEGER8, DataType.INTEGER16, DataType.INTEGER32, DataType.REAL32
 _TEXT = DataType.VISIBLE_STRING
@@ -172,8 +173,8 @@ def protection_limits() -> list[str]:
 def _limits(config: ProtectionConfig) -> list[Variable]:
     limits = []
     for name, field in ProtectionConfig.model_fields.items():
-        low = next(m.ge for m in field.metadata if isinstance(m, annotated_types.Ge))
-        high = next(m.le for m in field.metadata if isinstance(m, annotated_types.Le))
+        low = max(m.ge for m in field.metadata if isinstance(m, annotated_types.Ge))  # type: ignore[type-var]
+        high = min(m.le for m in field.metadata if isinstance(m, annotated_types.Le))  # type: ignore[type-var]
         extra = field.json_schema_extra if isinstance(field.json_schema_extra, dict) else {}
         text = name.replace("_", " ").capitalize()
         limits.append(_parameter(text, getattr(config, name), low, high, str(extra.get("unit", ""))))  # type: ignore[arg-type]
@@ -207,10 +208,12 @@ def _own(joint: Joint, config: FirmwareConfig) -> Iterator[Object]:
     yield variable(0x201E, _parameter("Valve bias", config.valve_bias, -bias, bias, "A"))
     yield record(0x2020, "Calibration", [
         _scale("Motor encoder scale", joint.sensor.encoder),
-        _parameter("Motor encoder offset", 0.0, -1.0, 1.0, "rad"),
+        _parameter("Motor encoder offset", 0.0, -_TURN, _TURN, "rad"),
         _scale("Spring encoder scale", joint.spring_counts_per_rad),
         _parameter("Spring encoder offset", 0.0, -0.1, 0.1, "rad"),
         Variable("Spring stiffness", _F32, "ro", joint.actuator.stiffness, unit="N m/rad"),
+        _parameter("Joint encoder offset", 0.0, -_TURN, _TURN, "rad"),
+        Variable("Joint encoder reading", _F32, "ro", unit="rad"),
     ])  # fmt: skip
     yield record(0x2030, "Interrupt counters", [Variable("Ticks", _U32), Variable("Malformed frames", _U32)])
     yield record(0x2040, "Protection limits", _limits(config.protection))

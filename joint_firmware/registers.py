@@ -180,3 +180,7 @@ def _parameters(dictionary: ObjectDictionary, drive: JointFirmware) -> None:
         lambda v: sensor(torque_resolution=drive.settings.joint.actuator.stiffness / v),
     )  # fmt: skip
     calibration(4, lambda: drive.settings.spring_offset, lambda v: {"spring_offset": v})
+    calibration(6, lambda: drive.settings.joint_offset, drive.recalibrated)
+    dictionary.connect(
+        0x2020, 7, lambda: drive.pin(pins.JOINT_ENCODER) / drive.settings.joint.sensor.joint_encoder
+    )

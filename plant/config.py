@@ -54,10 +54,13 @@ class HoistConfig(Config):
 
 
 class SensorConfig(Config):
-    """Scales on the sensor errors of the robot's description."""
+    """Scales on the sensor errors of the robot's description, and how its absolute encoders are mounted."""
 
     noise: Gain = 1.0  # all noise densities
     bias: Gain = 1.0  # all biases
+    mounting: Annotated[Radians, Field(ge=0)] = 0.0  # 1σ, of the joints' absolute encoders; 0: all are calibrated
+    # by joint, in place of what ``mounting`` draws: what its absolute encoder reads at 0 rad
+    encoder_offset: dict[str, Radians] = Field(default_factory=dict)
 
 
 class PushConfig(Config):

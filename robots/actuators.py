@@ -242,16 +242,22 @@ class Hydraulic(Actuator):
     rod_area: Positive  # m², pulling (annulus)
     stroke: Positive  # m; the middle is at the linkage's nominal length
     dead_volume: Positive  # m³, of each line and chamber end
-    piston_mass: Positive  # kg, with the rod
+    piston_mass: Positive  # kg, with rod and load cell
     bulk_modulus: Positive  # Pa, effective, of oil and hoses
     leakage: NonNegative  # m³/s/Pa across the piston
     valve_flow: Positive  # m³/s at rated current and drop
     valve_drop: Positive  # Pa across one edge at rated flow
-    valve_bandwidth: Positive  # Hz
+    valve_leakage: NonNegative = 0.0  # m³/s/Pa of each edge, centred
+    valve_bandwidth: Positive  # Hz at which the spool lags by 90°, small signals
     valve_damping: Positive = 0.9  # ratio, of the spool
+    valve_slew: Positive = 1e3  # fastest spool, full openings per s
     valve_deadband: NonNegative = 0.0  # A, overlap
-    coulomb: NonNegative  # N, of the seals
+    valve_offset: float = 0.0  # A at which the spool is centred
+    coulomb: NonNegative  # N, of the seals, sliding
+    static: NonNegative  # N, of the seals, at rest
     viscous_friction: NonNegative  # N s/m
+    cell_stiffness: Positive  # N/m, of load cell, rod and bearings
+    cell_damping: NonNegative  # N s/m
     linkage: Linkage
     supply_voltage: Positive = 24.0  # V, of the valve's electronics
 

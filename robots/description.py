@@ -22,7 +22,9 @@ Positive = Annotated[float, Field(gt=0)]
 NonNegative = Annotated[float, Field(ge=0)]
 
 
-JOINT_ENCODER = 2**16 / (2 * math.pi)  # counts per rad: 16 bit per turn, ASSUMED where no source tells
+# Absolute encoder of a joint, ASSUMED where no source tells: 16 bit per turn, between the 14 bit of RLS's Orbis and the
+# 17 to 20 bit of their AksIM-2, encoders made for joints.
+JOINT_ENCODER = 2**16 / (2 * math.pi)  # counts per rad
 
 
 class UnknownRobotError(ValueError):
@@ -64,6 +66,8 @@ class JointSensor(Config):
     joint_encoder: float = JOINT_ENCODER  # absolute, counts per rad of the joint, signed
     force_resolution: float = 0.0  # N m per count of the load cell, signed; 0: there is none
     torque_bias: NonNegative = 0.0  # N m, 1σ, of the spring encoder's zero
+    joint_bias: NonNegative = 0.0  # rad, 1σ, of the absolute encoder's zero: what a calibration leaves
+    joint_noise: NonNegative = 0.0  # rad, 1σ per sample of the absolute encoder
     force_bias: NonNegative = 0.0  # N m, 1σ, of the load cell's zero
     force_noise: NonNegative = 0.0  # N m, 1σ per sample of the load cell
     current_bias: NonNegative = 0.0  # A, 1σ, of the current sensor's zero

@@ -21,10 +21,10 @@ class FaultCase:
 
     ``key`` = ``value`` is injected, the key behind ``joint.NAME.`` unless it begins with ``node.``, which is one of the
     joint's node on its bus. Where nothing that can be injected leads to the fault within a second, ``limits`` of the
-    drive are set to below what is there, as a master may (0x2040; ``position_high`` is the upper soft stop, 0x607D:2),
-    or those that would come before it to above. ``within``: s, from then to the first interrupt with a safe output;
-    ``moving``: the sensor must have something to show first, at the 0.1 rad/s of a standing robot that sways, or with a
-    current of a fifth of its limit.
+    drive are set to below what is there, as a master may (0x2040; ``soft_stop_below``: rad by which the upper soft
+    stop, 0x607D:2, is put below the joint), or those that would come before it to above. ``within``: s, from then to
+    the first interrupt with a safe output, for the left knee; ``moving``: the sensor must have something to show
+    first, at the 0.1 rad/s of a standing robot that sways, or with a current of a fifth of its limit.
     """
 
     fault: DriveFault
@@ -75,7 +75,7 @@ CASES: tuple[FaultCase, ...] = (
     FaultCase(DriveFault.OVER_CURRENT, 2 * _MS, "current_sensor", "jump"),
     FaultCase(DriveFault.OVER_TORQUE, 1 * _MS, limits={"over_torque": 0.05}),
     FaultCase(DriveFault.OVER_SPEED, 100 * _MS, limits={"over_speed": 0.003, "over_speed_time": 0.005}, moving=True),
-    FaultCase(DriveFault.POSITION_LIMIT, 1 * _MS, limits={"position_high": -0.3}),
+    FaultCase(DriveFault.POSITION_LIMIT, 1 * _MS, limits={"soft_stop_below": 0.5}),
     FaultCase(DriveFault.OVER_TEMPERATURE, 12 * _MS, "heating", "140 K"),
     FaultCase(
         DriveFault.OVERLOAD,

@@ -124,8 +124,9 @@ class TrialBench:
         config = self.drive.settings.config
         limits = dict(case.limits)
         joint = self.drive.settings.joint
-        if "position_high" in limits:
-            joint = joint.model_copy(update={"limits": (joint.limits[0], limits.pop("position_high"))})
+        if "soft_stop_below" in limits:
+            high = self.drive.y[signals.Y_POSITION_SI] - limits.pop("soft_stop_below")
+            joint = joint.model_copy(update={"limits": (min(joint.limits[0], high), high)})
         protection = config.protection.model_copy(update=limits)
         self.drive.configure(config=config.model_copy(update={"protection": protection}), joint=joint)
 

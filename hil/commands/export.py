@@ -133,7 +133,7 @@ def _recording_names(joints: tuple[str, ...]) -> list[str]:
 
 def _recordings(options: argparse.Namespace, joints: tuple[str, ...]) -> dict[str, str]:
     """What the export's example reads, and what it prints in double precision."""
-    from hil.record.law_recording import record_laws
+    from hil.record.law_recording import parameter_lines, record_laws
     from joint_firmware.export.c99 import columns_in
     from joint_firmware.export.drive_law import exported_law
     from robots import description
@@ -145,7 +145,7 @@ def _recordings(options: argparse.Namespace, joints: tuple[str, ...]) -> dict[st
     files = {}
     for name in joints:
         drive = recorded[name]
-        inputs = ["# " + ",".join(columns_in(named))]
+        inputs = ["# " + ",".join(columns_in(named)), *parameter_lines(drive)]
         inputs += [
             ",".join([*map(str, counts), *map(repr, u)])
             for counts, u in zip(drive.counts.tolist(), drive.u.tolist(), strict=True)

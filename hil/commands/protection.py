@@ -27,7 +27,9 @@ def add_parser(commands: Any) -> None:
     parser.add_argument(
         "--set", action="append", default=[], metavar="KEY=VALUE", dest="settings", help="of that run; repeatable"
     )
-    parser.add_argument("--joint", default="left_knee", metavar="NAME", help="whose drive is tried (left_knee)")
+    parser.add_argument(
+        "--joint", default="left_knee", metavar="NAME", help="whose drive is tried (left_knee, whose times these are)"
+    )
     parser.add_argument("--seed", type=natural, default=1, metavar="N", help="of trials or run (1)")
     parser.add_argument("--markdown", action="store_true", help="print the table as docs/protection.md has it")
     parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")

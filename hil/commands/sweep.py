@@ -73,7 +73,11 @@ def _sweep(options: argparse.Namespace) -> int:
                 here["cpu"] += row["cpu"]
             progress.show(done, f"{row['verdict']}" if row else "")
 
-        rows = sweep(plan, out, runner, told)
+        try:
+            rows = sweep(plan, out, runner, told)
+        except KeyboardInterrupt:
+            print(f"hil: ended; the same command with --out {out} goes on", file=sys.stderr)
+            raise
     result = {
         "scenario": scenario.name,
         "points": len(plan.points),

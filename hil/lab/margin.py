@@ -206,6 +206,7 @@ def summary(search: Search, found: Sequence[SeedMargin]) -> dict[str, Any]:
         "open": len(opens),
         "unstable_at_start": nowhere,
         "per_seed": [asdict(m) for m in found],
+        "configuration": search.scenario.model_dump(mode="json"),
     }
 
 

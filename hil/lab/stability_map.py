@@ -1,8 +1,8 @@
 """Two-axis maps from a sweep's table: where it is stable, where it is not, and where its seeds cannot tell.
 
 A place is decided when the interval of Clopper and Pearson for its share of stable runs lies on one side of ½, with a
-confidence of 95 % or, of fewer than six seeds, what unanimous seeds can give: 1 − 2^(1−n). The band between the decided
-regions is the boundary's confidence band.
+confidence of 95 % or, of fewer than six seeds, what unanimous seeds can give: 1 − 2^(1−n). The boundary's confidence
+band reaches from the last place that is decided on one side to the first one on the other.
 """
 
 from __future__ import annotations

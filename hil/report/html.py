@@ -16,7 +16,7 @@ table{border-collapse:collapse;margin-top:.5rem}
 td,th{padding:.2rem .8rem;text-align:left;border-bottom:1px solid #ddd}
 td.n{text-align:right;font-variant-numeric:tabular-nums}
 tr.beyond td{color:#c0392b;font-weight:600}
-.wide{overflow-x:auto}
+.wide{overflow-x:auto}.wide td{white-space:nowrap}
 pre{overflow-x:auto;font-size:.8rem}
 @media print{details{display:none}img{break-inside:avoid}}
 """

@@ -23,6 +23,7 @@ from hil.report.margin_page import display_unit
 _COLOURS = "RdYlBu"  # told apart by the colour-blind, and in grey
 _BOUNDARY: dict[str, Any] = {"color": "k", "linewidth": 1.6}
 _BAND: dict[str, Any] = {"color": "k", "linewidth": 0.9, "linestyle": ":"}
+_SURE = 0.99  # of ±1: the band's edges run through the last places that are decided
 Curve = Sequence[tuple[float, float]]  # points of a boundary, SI
 
 
@@ -46,8 +47,8 @@ def caption(found: StabilityMap) -> str:
     if found.confidence <= 0:
         return text + "One seed has no confidence band."
     return text + (
-        f"Between the dotted lines the seeds do not tell on which side a place is ({100 * found.confidence:.3g} % "
-        f"confidence); {doubt} of the places lie there."
+        f"Dotted: the last places whose side the seeds tell ({100 * found.confidence:.3g} % confidence); "
+        f"{doubt} places lie between."
     )
 
 
@@ -73,7 +74,7 @@ def _draw(found: StabilityMap, predicted: Sequence[Curve]) -> tuple[Any, list[np
         mesh = axes.scatter(x, y, c=found.share, cmap=_COLOURS, vmin=0, vmax=1, s=30, edgecolors="0.4", linewidths=0.4)
     figure.colorbar(mesh, label="share of stable runs")
     boundary = _contours(axes, found, x, y, found.share, [0.5], _BOUNDARY)
-    band = _contours(axes, found, x, y, found.decided, [-0.5, 0.5], _BAND) if found.confidence > 0 else []
+    band = _contours(axes, found, x, y, found.decided, [-_SURE, _SURE], _BAND) if found.confidence > 0 else []
     axes.plot([], [], **_BOUNDARY, label="half of the runs stable")
     if found.confidence > 0:
         axes.plot([], [], **_BAND, label=f"{100 * found.confidence:.3g} % confidence band")

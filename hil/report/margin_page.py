@@ -16,15 +16,20 @@ import matplotlib.pyplot as plt
 from hil.lab.quantity import Quantity
 from hil.report.html import document, folded, picture
 from hil.report.plots import encoded
+from hil.scenario import to_toml
+
+
+_NAME = 12  # characters before the text of a line
 
 
 def sentences(result: Mapping[str, Any], quantity: Quantity) -> list[str]:
-    """What was found, for a person, a line each."""
+    """What was found, for a person, a line each: name, blanks, text."""
     shown, seeds = quantity.shown, result["per_seed"]
     n = len(seeds)
     lines = []
     if result["margin"] is not None:
-        lines.append(f"margin      {shown(result['margin'])}, the median of {n} seeds")
+        whose = f"the median of {n} seeds" if n > 1 else "of one seed, which tells nothing about others"
+        lines.append(f"margin      {shown(result['margin'])}, {whose}")
     elif result["open"] > n // 2:
         lines.append(f"margin      none found: stable up to {shown(result['stable_to'])}, where the search ended")
     else:
@@ -56,7 +61,7 @@ def sentences(result: Mapping[str, Any], quantity: Quantity) -> list[str]:
 def draw_margin(result: Mapping[str, Any], quantity: Quantity) -> Any:
     """Verdict of every run over its value, a row per seed; median and interval drawn in."""
     scale, unit = display_unit(quantity, [run["value"] for seed in result["per_seed"] for run in seed["tried"]])
-    figure, axes = plt.subplots(figsize=(9, 1.6 + 0.35 * len(result["per_seed"])), layout="constrained")
+    figure, axes = plt.subplots(figsize=(9, 2.1 + 0.35 * len(result["per_seed"])), layout="constrained")
     interval = result["interval"]
     ends = [result["interval"][end] for end in ("low", "high")]
     if None not in ends and interval["confidence"] > 0:
@@ -78,7 +83,7 @@ def draw_margin(result: Mapping[str, Any], quantity: Quantity) -> Any:
     axes.set_yticks([seed["seed"] for seed in result["per_seed"]])
     axes.margins(y=0.25)
     axes.grid(alpha=0.3, axis="x")
-    axes.legend(fontsize=8, loc="center left", bbox_to_anchor=(1.0, 0.5))
+    figure.legend(fontsize=8, loc="outside lower center", ncols=3)
     return figure
 
 
@@ -102,12 +107,17 @@ def write_margin(directory: Path, result: Mapping[str, Any], quantity: Quantity)
         f"<td>{'stable' if run['stable'] else 'unstable'}</td><td>{html.escape(run['reason'])}</td></tr>"
         for seed in result["per_seed"] for run in sorted(seed["tried"], key=lambda run: run["value"])
     )  # fmt: skip
-    found = html.escape("\n".join(sentences(result, quantity)))
+    found = "".join(
+        f"<tr><td>{html.escape(line[:_NAME].strip())}</td><td>{html.escape(line[_NAME:])}</td></tr>"
+        for line in sentences(result, quantity)
+    )
+    numbers = {name: value for name, value in result.items() if name != "configuration"}
     body = f"""<p>{html.escape(result["scenario"])}{when}; nominal {quantity.shown(quantity.nominal)}</p>
-<pre>{found}</pre>
+<table>{found}</table>
 {picture("Every run", "Bisection: each seed is tried where its own boundary was not yet known.", encoded(figure))}
 <div class=wide><table><tr><th>seed<th>{html.escape(quantity.key)}<th>verdict<th>reason</tr>{rows}</table></div>
-{folded("All numbers", json.dumps(result, indent=1))}"""
+{folded("Exact configuration, a scenario file", to_toml(result["configuration"]))}
+{folded("All numbers", json.dumps(numbers, indent=1))}"""
     path = directory / "margin.html"
     path.write_text(document(f"Margin of {quantity.key}", body), encoding="utf-8")
     return path

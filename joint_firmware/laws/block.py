@@ -15,10 +15,11 @@ Symbols = SimpleNamespace  # states or parameters: one scalar ca.SX per name
 
 
 class Offsets(NamedTuple):
-    """Zeros of a joint's encoders, rad."""
+    """Zeros of a joint's encoders, rad: what each reads where it should read 0."""
 
     motor: float = 0.0
     spring: float = 0.0
+    joint: float = 0.0
 
 
 class Block:

@@ -18,10 +18,11 @@ from joint_firmware.config import FirmwareConfig
 from joint_firmware.laws import signals as s
 from joint_firmware.laws.block import Block, Offsets, Symbols, clip, symbols, vector
 from joint_firmware.laws.catalogue import TORQUE_LOOPS
+from joint_firmware.laws.load_cell import LoadCellSensing, has_load_cell
 from joint_firmware.laws.monitor import Monitor
 from joint_firmware.laws.output import Output
 from joint_firmware.laws.reference import Reference
-from joint_firmware.laws.sensing import Direct, Sensing, ThroughLinkage, has_load_cell
+from joint_firmware.laws.sensing import Direct, Sensing, ThroughLinkage
 from robots import pins
 from robots.description import Joint
 from robots.linkage import Linkage
@@ -53,7 +54,8 @@ class DriveLaw:
         load_cell: bool = False,
     ) -> None:
         self._map = Direct() if linkage is None else ThroughLinkage(linkage)
-        self._sensing, self._monitor = Sensing(estimator, self._map, load_cell), Monitor()
+        self._sensing = (LoadCellSensing if load_cell else Sensing)(estimator, self._map)
+        self._monitor = Monitor()
         self._reference, self._output = Reference(self._map), Output(TORQUE_LOOPS[loop])
         self._blocks: tuple[Block, ...] = (
             self._sensing, self._monitor, self._reference, self._output, Scales()

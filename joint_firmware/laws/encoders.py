@@ -16,7 +16,7 @@ import casadi as ca
 from bus.drive_faults import DriveFault
 from joint_firmware.config import FirmwareConfig
 from joint_firmware.laws.block import Block, Offsets, Symbols
-from joint_firmware.laws.sensing import has_load_cell
+from joint_firmware.laws.load_cell import has_load_cell
 from joint_firmware.laws.signals import Sensed
 from robots import pins
 from robots.description import Joint

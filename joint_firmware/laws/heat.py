@@ -3,9 +3,10 @@
     C_w dT_w = R (1 + α (T_w − 25 °C)) i² − (T_w − T_h) / R_wh
     C_h dT_h = (T_w − T_h) / R_wh − (T_h − 25 °C) / R_ha
 
-The sensor says how warm it is at power-on, in the model as well. i²t is the integral of i² − i_c², never below zero,
-with i_c the current that may flow for ever. Its limit is what the full current adds to it until it has warmed the
-winding by a share of what its insulation permits.
+The model takes a step every 0.1 s, with the heat of that time: what a single interrupt adds is less than half the last
+bit of a temperature in single precision, and would be lost. The sensor says how warm it is at power-on, in the model as
+well. i²t is the integral of i² − i_c², never below zero, with i_c the current that may flow for ever. Its limit is what
+the full current adds to it until it has warmed the winding by a share of what its insulation permits.
 """
 
 from __future__ import annotations
@@ -20,6 +21,8 @@ from joint_firmware.laws.block import Block, Offsets, Symbols
 from robots import pins
 from robots.actuators import AMBIENT, COPPER, Actuator
 from robots.description import Joint
+
+_STEP_S = 0.1  # of the model; windings take seconds
 
 
 class Heat(NamedTuple):
@@ -62,16 +65,18 @@ def _overload_limit(actuator: Actuator, rise: float) -> float:
 
 
 class HeatWatch(Block):
-    states = ("winding_temperature", "housing_temperature", "overload")
+    states = ("winding_temperature", "housing_temperature", "current_heat", "heat_time", "overload")
     parameters = (
-        "dt", "resistance", "winding_rate", "housing_rate", "housing_share", "winding_heat", "permitted_rise",
-        "continuous_square", "overload_limit",
+        "dt", "heat_step", "resistance", "winding_rate", "housing_rate", "housing_share", "winding_heat",
+        "permitted_rise", "continuous_square", "overload_limit",
     )  # fmt: skip
 
     def values(self, joint: Joint, config: FirmwareConfig, offsets: Offsets) -> dict[str, float]:
         actuator, limits = joint.actuator, config.protection
         motor, thermal = actuator.motor, actuator.thermal
-        values = {"dt": 1.0 / config.rate, "continuous_square": continuous_current(actuator) ** 2}
+        dt = 1.0 / config.rate
+        step = max(_STEP_S - 0.5 * dt, 0.0)
+        values = {"dt": dt, "heat_step": step, "continuous_square": continuous_current(actuator) ** 2}
         if motor is None or thermal is None:  # no winding: its temperature stays what the sensor says
             return values | {
                 "resistance": 0.0, "winding_heat": 0.0, "winding_rate": 0.0, "housing_rate": 0.0, "housing_share": 0.0,
@@ -93,12 +98,17 @@ class HeatWatch(Block):
         sensed = counts[pins.TEMPERATURE_ADC] * pins.KELVIN_PER_COUNT
         winding = ca.if_else(x.started > 0, x.winding_temperature, sensed)
         housing = ca.if_else(x.started > 0, x.housing_temperature, sensed)
-        power = p.resistance * (1.0 + COPPER * (winding - AMBIENT)) * current**2  # W
-        across = winding - housing
-        winding_next = winding + p.dt * (p.winding_heat * power - p.winding_rate * across)
-        housing_next = housing + p.dt * (p.housing_rate * across - p.housing_share * (housing - AMBIENT))
+        gathered, time = x.current_heat + p.dt * current**2, x.heat_time + p.dt  # A² s, s: since the model's last step
+        due = time >= p.heat_step
+        heat = due * p.resistance * (1.0 + COPPER * (winding - AMBIENT)) * gathered  # J
+        across, h = winding - housing, due * time
+        winding_next = winding + p.winding_heat * heat - h * p.winding_rate * across
+        housing_next = housing + h * (p.housing_rate * across - p.housing_share * (housing - AMBIENT))
         overload = ca.fmax(x.overload + p.dt * (current**2 - p.continuous_square), 0)
         overload = ca.fmin(overload, 1.1 * p.overload_limit)
         temperature = (ca.fmax(sensed, winding_next) - AMBIENT) / p.permitted_rise
-        x_next = Symbols(winding_temperature=winding_next, housing_temperature=housing_next, overload=overload)
+        x_next = Symbols(
+            winding_temperature=winding_next, housing_temperature=housing_next, overload=overload,
+            current_heat=ca.if_else(due, 0, gathered), heat_time=ca.if_else(due, 0, time),
+        )  # fmt: skip
         return Heat(temperature, overload / p.overload_limit), x_next

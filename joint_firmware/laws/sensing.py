@@ -2,7 +2,7 @@
 
 In equivalent rotary coordinates (``robots.actuators``) the compliant element sits between motor and output: the effort
 is its stiffness times its deflection, the output is where the motor is less the deflection. A linkage maps the joint to
-the output, phi = f(q) (Kim 2018 (5.22)); without one they are the same. A hydraulic joint has a load cell instead.
+the output, phi = f(q) (Kim 2018 (5.22)); without one they are the same.
 """
 
 from __future__ import annotations
@@ -17,7 +17,6 @@ from joint_firmware.laws.block import Block, Offsets, Symbols, clip
 from joint_firmware.laws.signals import Sensed
 from joint_firmware.laws.velocity import ESTIMATORS
 from robots import pins
-from robots.actuators import Hydraulic
 from robots.description import Joint
 from robots.linkage import Linkage
 
@@ -72,60 +71,53 @@ class ThroughLinkage:
         return self._linkage.ratio(clip(q, self._low, self._high))
 
 
-class Sensing(Block):
-    """``estimator`` is one of ``ESTIMATORS``; the effort is the spring's, or the load cell's."""
+class SensingBlock(Block):
+    """Base of the ways to sense a joint; ``estimator`` is one of ``ESTIMATORS``."""
 
-    def __init__(self, estimator: str, joint_map: JointMap, load_cell: bool) -> None:
-        self._map, self._load_cell = joint_map, load_cell
-        self._motor = ESTIMATORS[estimator]("motor")
-        self._deflection = ESTIMATORS[estimator]("deflection")
-        if load_cell:
-            self.states = ("started", *self._motor.states)
-            effort: tuple[str, ...] = ("effort_per_count",)
-        else:
-            self.states = ("started", *self._motor.states, *self._deflection.states)
-            effort = ("rad_per_spring_count", "stiffness", "spring_offset")
-        self.parameters = ("rad_per_count", "motor_offset", *effort, *self._motor.parameters)
-
-    def values(self, joint: Joint, config: FirmwareConfig, offsets: Offsets) -> dict[str, float]:
-        shared = {
-            "rad_per_count": 1.0 / joint.sensor.encoder,
-            "motor_offset": offsets.motor,
-            **self._motor.settings(config),
-        }
-        if self._load_cell:
-            return {**shared, "effort_per_count": joint.sensor.force_resolution}
-        return {
-            **shared,
-            "rad_per_spring_count": 1.0 / joint.spring_counts_per_rad,
-            "stiffness": joint.actuator.stiffness,
-            "spring_offset": offsets.spring,
-        }
+    def __init__(self, estimator: str, joint_map: JointMap) -> None:
+        raise NotImplementedError
 
     def sense(self, counts: ca.SX, x: Symbols, p: Symbols) -> tuple[Sensed, Symbols]:
         """The signals, and the states of the next tick."""
+        raise NotImplementedError
+
+
+class Sensing(SensingBlock):
+    """Encoders of the motor and of the spring between motor and output."""
+
+    def __init__(self, estimator: str, joint_map: JointMap) -> None:
+        self._map = joint_map
+        self._motor = ESTIMATORS[estimator]("motor")
+        self._deflection = ESTIMATORS[estimator]("deflection")
+        self.states = ("started", *self._motor.states, *self._deflection.states)
+        self.parameters = (
+            "rad_per_count", "motor_offset", "rad_per_spring_count", "stiffness", "spring_offset",
+            *self._motor.parameters,
+        )  # fmt: skip
+
+    def values(self, joint: Joint, config: FirmwareConfig, offsets: Offsets) -> dict[str, float]:
+        return {
+            "rad_per_count": 1.0 / joint.sensor.encoder,
+            "motor_offset": offsets.motor,
+            "rad_per_spring_count": 1.0 / joint.spring_counts_per_rad,
+            "stiffness": joint.actuator.stiffness,
+            "spring_offset": offsets.spring,
+            **self._motor.settings(config),
+        }
+
+    def sense(self, counts: ca.SX, x: Symbols, p: Symbols) -> tuple[Sensed, Symbols]:
         phi = counts[pins.MOTOR_ENCODER] * p.rad_per_count - p.motor_offset
         resolution = ca.fabs(p.rad_per_count)
         motor_velocity, after = self._motor.estimate(phi, x.started, resolution, x, p)
-        if self._load_cell:
-            effort = counts[pins.FORCE_ADC] * p.effort_per_count
-            output, output_velocity = phi, motor_velocity
-        else:
-            deflection = counts[pins.SPRING_ENCODER] * p.rad_per_spring_count - p.spring_offset
-            resolution = ca.fabs(p.rad_per_spring_count)
-            rate, more = self._deflection.estimate(deflection, x.started, resolution, x, p)
-            after.update(more)
-            effort = p.stiffness * deflection
-            output, output_velocity = phi - deflection, motor_velocity - rate
+        deflection = counts[pins.SPRING_ENCODER] * p.rad_per_spring_count - p.spring_offset
+        resolution = ca.fabs(p.rad_per_spring_count)
+        rate, more = self._deflection.estimate(deflection, x.started, resolution, x, p)
+        effort = p.stiffness * deflection
+        output, output_velocity = phi - deflection, motor_velocity - rate
         q = self._map.to_joint(output)
         ratio = self._map.ratio(q)
         sensed = Sensed(
             motor_position=phi, position=q, motor_velocity=motor_velocity, velocity=output_velocity / ratio,
             torque=ratio * effort, effort=effort, ratio=ratio, output_velocity=output_velocity,
         )  # fmt: skip
-        return sensed, Symbols(started=1, **after)
-
-
-def has_load_cell(joint: Joint) -> bool:
-    """Whether a load cell gives the effort, and not a spring's deflection."""
-    return isinstance(joint.actuator, Hydraulic)
+        return sensed, Symbols(started=1, **after, **more)

@@ -75,7 +75,7 @@ def test_cantools_reads_a_drive_state_as_the_codec_does(
     assert (read["counter"], read["command_counter"], read["error"], read["temperature"]) == (
         counter,
         counter,
-        3,
+        "JOINT_ENCODER",
         40,
     )
     assert str(read["drive_state"]) == "OPERATION_ENABLED"

@@ -74,8 +74,7 @@ MISTAKES: dict[tuple[str, ...], str] = {
         "link.command.dely",
         "3ms",
     ): "unknown key 'link.command.dely'; did you mean 'link.command.delay'? (`hil inject --list` lists all)",
-    ("inject", "link.command.delay", "3"): "link.command.delay = '3': '3' has no unit: write one of "
-    "s, ms, us, µs, ns",
+    ("inject", "link.command.delay", "3"): "link.command.delay = '3': '3' has no unit: write one of s, ms, us, µs, ns",
     ("inject", "link.command.loss", "2"): "link.command.loss = '2': expected at most 1",
     ("inject", "link.command.delay", "3ms", "--run", "no-such-run"): "no run 'no-such-run' is going on",
 }
@@ -101,15 +100,11 @@ def test_a_wrong_option_names_the_help(capsys: pytest.CaptureFixture[str], argum
 
 def test_a_stance_out_of_reach_names_the_keys(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     far = ["--set", "stance.hip_height=5m", "--out", str(tmp_path / "run")]
-    assert re.match(
-        r"stand: stance: .*lower stance.hip_height", refused(capsys, "run", "stand", *SHORT, *far)
-    )
+    assert re.match(r"stand: stance: .*lower stance.hip_height", refused(capsys, "run", "stand", *SHORT, *far))
 
 
 @pytest.mark.parametrize("record", ["run.json", "signals.mcap"])
-def test_a_record_is_never_overwritten(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path, record: str
-) -> None:
+def test_a_record_is_never_overwritten(capsys: pytest.CaptureFixture[str], tmp_path: Path, record: str) -> None:
     """A run that was killed has left no run.json, but its signals."""
     (tmp_path / record).write_text("precious")
     sentence = refused(capsys, "run", "stand", *SHORT, "--out", str(tmp_path))
@@ -191,6 +186,18 @@ def test_json_is_printed_of_a_run_that_cannot_start(
     assert err == "hil: nothing works today\n"
 
 
+def test_a_law_that_is_not_passive_is_told_and_not_refused(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(hil.run, "run", fail)
+    changes = "firmware.law=cascade", "firmware.velocity_integral=2", "firmware.joints.left_knee.swing.ki=100"
+    settings = [part for change in changes for part in ("--set", change)]
+    assert main(["run", "stand", *settings, "--out", str(tmp_path / "run")]) == 3
+    note, end = capsys.readouterr().err.splitlines()
+    assert note.startswith("hil: note: left_knee, firmware.swing: the cascade is not passive at low frequencies: ki = ")
+    assert end == "hil: nothing works today"
+
+
 def test_a_mistake_of_ours_does_not_read_as_unstable(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -240,7 +247,7 @@ def test_the_injectable_keys_are_listed_with_meaning_and_range(capsys: pytest.Ca
     columns = [head.index(word) for word in head.split()]
     for line in lines:
         key, range_, default, meaning = (line[a:b].strip() for a, b in zip(columns, [*columns[1:], None], strict=True))
-        assert re.fullmatch(r"(link|bus)\.[a-z_.]+", key) and len(meaning) > 3, line
+        assert re.fullmatch(r"(link|bus|joint)\.[a-z_.]+", key) and len(meaning) > 3, line
         assert default or key.endswith(".damage"), line
         assert re.search(r"^-?[\d.e+]+ to [\d.e+]+( \w+)?$|, |true or false|^IDENTIFIER BIT", range_), line
     assert main(["inject", "--list", "bus.left_leg.node.left_knee"]) == 0

@@ -114,7 +114,10 @@ def test_corruption_reaches_the_controller_unnoticed(clean: Outcome) -> None:
     assert system.state_link.counts["corrupted"] > 20
     assert outcome.record["deliveries"]["link.state"]["corrupted"] == system.state_link.counts["corrupted"]
     assert outcome.tables["controller"]["malformed"][-1] == 0
-    assert (outcome.tables["controller"].data != clean.tables["controller"].data).any()
+    # what it makes of them may be commands that the drives refuse: then the run ends early
+    seen = outcome.tables["controller"].data
+    assert (seen != clean.tables["controller"].data[: len(seen)]).any()
+    assert outcome.record["verdict"] == "stable" or "command (8900h)" in outcome.record["reason"]
 
 
 def test_a_corrupted_word_is_no_fact_about_the_drive_or_the_round_trip(clean: Outcome) -> None:

@@ -67,9 +67,7 @@ def test_a_run_is_changed_from_another_process_and_keeps_a_record_of_it(
     name, out, process = going
     first = hil("inject", "link.command.delay", "250us", "--run", name)
     assert first.returncode == 0, first.stderr
-    assert first.stdout.startswith("link.command.delay = 250us from ") and first.stdout.endswith(
-        f" s of {name} on\n"
-    )
+    assert first.stdout.startswith("link.command.delay = 250us from ") and first.stdout.endswith(f" s of {name} on\n")
     assert hil("inject", "bus.left_leg.loss", "0.001", "--run", name).returncode == 0
 
     endpoint = find_runs()[name]["endpoint"]
@@ -128,13 +126,8 @@ def test_several_runs_must_be_told_apart(capsys: pytest.CaptureFixture[str]) -> 
     finally:
         for server in servers:
             server.close()
-    assert "several runs are going on, name one with --run: " in several and all(
-        name in several for name in names
-    )
-    assert (
-        inline
-        == f"hil: {names[0]} runs inline, without Zenoh: put the change into its scenario as [[inject]]\n"
-    )
+    assert "several runs are going on, name one with --run: " in several and all(name in several for name in names)
+    assert inline == f"hil: {names[0]} runs inline, without Zenoh: put the change into its scenario as [[inject]]\n"
 
 
 def test_a_name_that_is_taken_leaves_no_port_behind() -> None:

@@ -115,13 +115,9 @@ def test_an_unknown_key_is_refused_with_its_path(path: list[str], word: str, dat
     assert re.search(r"did you mean '[\w.]+'\?$|valid are [\w, ]+$", sentence)
 
 
-@given(
-    st.floats(0, 1e3), st.sampled_from([("s", 1.0), ("ms", 1e-3), ("us", 1e-6), ("µs", 1e-6), ("ns", 1e-9)])
-)
+@given(st.floats(0, 1e3), st.sampled_from([("s", 1.0), ("ms", 1e-3), ("us", 1e-6), ("µs", 1e-6), ("ns", 1e-9)]))
 def test_a_value_is_parsed_as_the_scenario_would(value: float, unit: tuple[str, float]) -> None:
-    assert parse_value("link.command.delay", f"{value!r}{unit[0]}") == pytest.approx(
-        value * unit[1], rel=1e-12
-    )
+    assert parse_value("link.command.delay", f"{value!r}{unit[0]}") == pytest.approx(value * unit[1], rel=1e-12)
 
 
 @given(
@@ -184,7 +180,7 @@ MISTAKES = {
     "bus.left_leg.background.length=9": "bus.left_leg.background.length = 9: expected 0, 1, 2, 3, 4, 5, 6, 7, 8, 12, "
     "16, 20, 24, 32, 48 or 64",
     "bus.left_leg.damage=182h crc": "bus.left_leg.damage = '182h crc': expected \"IDENTIFIER BIT\" or "
-    "\"IDENTIFIER BIT ATTEMPT\", for example \"0x182 crc:3\"",
+    '"IDENTIFIER BIT ATTEMPT", for example "0x182 crc:3"',
     "bus.left_leg.node.left_knee.cut=2": "bus.left_leg.node.left_knee.cut = 2: expected true or false",
     "bus.left_leg.node.left_knee.drift=5": "bus.left_leg.node.left_knee.drift = 5: 5 has no unit: write one of ppm, "
     'for example "5ppm"',
@@ -236,8 +232,8 @@ MISTAKES = {
     "'bus.left_leg.node.left_knee.ct': no such key; did you mean 'bus.left_leg.node.left_knee.cut'?",
     "inject=[{at='2s', until='1s', key='link.command.loss', value=1}]": "inject.0.until = 1 s: expected more than its "
     "at, 2 s",
-    "inject=[{at='2s', until='4s', key='link.command.loss', value=1}, {at='3s', key='link.command.loss', value=0}]":
-    "inject.1.at = 3 s: link.command.loss is under inject.0 until 4 s",
+    "inject=[{at='2s', until='4s', key='link.command.loss', value=1}, "
+    "{at='3s', key='link.command.loss', value=0}]": "inject.1.at = 3 s: link.command.loss is under inject.0 until 4 s",
 }
 
 

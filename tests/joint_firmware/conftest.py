@@ -63,6 +63,7 @@ class Bench:
         deflection = torque / self.joint.actuator.stiffness
         self.inputs[pins.SPRING_ENCODER] = round(deflection * self.joint.spring_counts_per_rad)
         self.inputs[pins.MOTOR_ENCODER] = round((position + deflection) * self.joint.sensor.encoder)
+        self.inputs[pins.JOINT_ENCODER] = round(position * self.joint.sensor.joint_encoder)
 
     def frame(self, word: int, mode: int = Mode.TORQUE, counter: int | None = None, **setpoint: Any) -> Frame:
         """The next command frame, or that of ``counter``; other slots ask for what would be noticed."""

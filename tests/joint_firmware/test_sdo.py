@@ -412,7 +412,7 @@ requests = st.one_of(st.binary(max_size=12), st.binary(min_size=8, max_size=8), 
 PARAMETERS = [(0x1017, 0), (0x1800, 2), (0x2002, 0), (0x6072, 0), (0x607D, 1), (0x607D, 2),
               *[(index, 0) for index in range(0x2010, 0x201F)],
               *[(index, sub) for index in (0x2000, 0x2001) for sub in (1, 2, 3)],
-              *[(0x2020, sub) for sub in (1, 2, 3, 4)]]  # fmt: skip
+              *[(0x2020, sub) for sub in (1, 2, 3, 4, 6)]]  # fmt: skip
 
 
 def stored(rig):

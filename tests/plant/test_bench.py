@@ -107,7 +107,7 @@ def test_a_locked_output_stays_and_the_spring_carries_the_motors_torque():
     joint = robot.joints[index]
     deflection = bench.spring_torque / joint.actuator.stiffness
     assert bench.pins_in[pins.SPRING_ENCODER] == round(deflection * joint.spring_counts_per_rad)
-    assert bench.pins_in[pins.MOTOR_ENCODER] == pytest.approx((0.3 + deflection) * joint.sensor.encoder, abs=1)
+    assert bench.pins_in[pins.MOTOR_ENCODER] == pytest.approx(deflection * joint.sensor.encoder, abs=1)
 
 
 def test_a_pendulum_hangs_where_its_weight_equals_the_static_torque():

@@ -225,6 +225,7 @@ def test_pins_carry_the_scales_of_the_electronics():
     node = world()
     inputs, outputs = np.zeros((6, pins.N_INPUTS), np.int32), np.zeros((6, pins.N_OUTPUTS), np.int32)
     node.attach_pins(inputs, outputs)
+    start = dict(zip(node.truth_fields, node.truth().tolist(), strict=True))
     outputs[:, pins.CURRENT_DEMAND] = [100, -200, 300, -5000, 5000, 7]
     outputs[:, pins.ENABLE] = [1, 1, 1, 1, 1, 0]
     node.latch()
@@ -237,8 +238,9 @@ def test_pins_carry_the_scales_of_the_electronics():
     node.sample()
     truth = dict(zip(node.truth_fields, node.truth().tolist(), strict=True))
     for joint, row in zip(ROBOT.joints, inputs, strict=True):
-        theta, q = truth[f"motor.{joint.name}"], truth[f"q.{joint.name}"]
-        assert row[pins.MOTOR_ENCODER] == round(joint.sensor.encoder * theta)
+        theta, q, zero = truth[f"motor.{joint.name}"], truth[f"q.{joint.name}"], start[f"motor.{joint.name}"]
+        turned = joint.sensor.encoder * theta, joint.sensor.encoder * zero
+        assert row[pins.MOTOR_ENCODER] == round(turned[0]) - round(turned[1])  # from zero at power-on
         assert row[pins.SPRING_ENCODER] == round(joint.spring_counts_per_rad * (theta - q))
         assert row[pins.JOINT_ENCODER] == round(joint.sensor.joint_encoder * q)
         assert row[pins.TEMPERATURE_ADC] == round(truth[f"winding.{joint.name}"] / pins.KELVIN_PER_COUNT)

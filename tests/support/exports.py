@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hil.record.law_recording import LawRecording
+from hil.record.law_recording import LawRecording, parameter_lines
 from joint_firmware.export.c99 import PRECISIONS
 
 STRICT = ("-std=c99", "-pedantic", "-Wall", "-Wextra", "-Werror", "-Wshadow", "-Wconversion", "-Wdouble-promotion")
@@ -56,7 +56,7 @@ def build(directory: Path, *flags: str, name: str = "built") -> Path:
 
 def rows(recording: LawRecording) -> str:
     """What the example reads."""
-    return "".join(
+    return "".join(line + "\n" for line in parameter_lines(recording)) + "".join(
         ",".join([*map(str, counts), *map(repr, u)]) + "\n"
         for counts, u in zip(recording.counts.tolist(), recording.u.tolist(), strict=True)
     )

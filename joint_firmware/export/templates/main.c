@@ -4,6 +4,7 @@
  *
  * Reads from standard input one step per line, counts and u separated by commas, lines that begin with # apart:
  *     @columns_in
+ * A line "p INDEX VALUE" changes a parameter: a drive finds its motor_offset at power-on.
  * Prints one line per step, y and x, to the last digit:
  *     @columns_out
  * The argument chooses the joint; without one it is @default_joint.
@@ -39,6 +40,7 @@ static int numbers(const char *line, double *values, int n)
 int main(int argc, char **argv)
 {
     static joint_law law;
+    static joint_law_real p[JOINT_LAW_PARAMETERS];
     static char line[1024];
     const size_t n = sizeof tables / sizeof tables[0];
     size_t which = 0;
@@ -51,7 +53,8 @@ int main(int argc, char **argv)
         fprintf(stderr, "no joint %s\n", argv[1]);
         return 2;
     }
-    joint_law_init(&law, tables[which].p);
+    memcpy(p, tables[which].p, sizeof p);
+    joint_law_init(&law, p);
     while (fgets(line, sizeof line, stdin) != NULL) {
         double values[JOINT_LAW_COUNTS + JOINT_LAW_INPUTS];
         int32_t counts[JOINT_LAW_COUNTS];
@@ -60,6 +63,15 @@ int main(int argc, char **argv)
         row++;
         if (line[0] == '#')
             continue;
+        if (line[0] == 'p') {
+            double value;
+            if (sscanf(line, "p %d %lf", &i, &value) != 2 || i < 0 || i >= JOINT_LAW_PARAMETERS) {
+                fprintf(stderr, "line %ld: expected p INDEX VALUE\n", row);
+                return 2;
+            }
+            p[i] = (joint_law_real)value;
+            continue;
+        }
         if (!numbers(line, values, JOINT_LAW_COUNTS + JOINT_LAW_INPUTS)) {
             fprintf(stderr, "line %ld: expected %d numbers\n", row, JOINT_LAW_COUNTS + JOINT_LAW_INPUTS);
             return 2;

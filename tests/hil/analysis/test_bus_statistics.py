@@ -1,6 +1,5 @@
 """Waiting times in run.json and in the report, beside their bounds."""
 
-
 from bus.config import BusConfig
 from bus.frames import Frame
 from bus.link import NEVER

@@ -56,9 +56,7 @@ class Run:
         self.controller["internal_force_reference"][:] = 100.0
         self.controller["internal_force"][:] = self.world["internal_force"][:] = 100.0
         self.world["hoist"][self.t < 1.0] = 1.0
-        self.drives["statusword.right_knee"][:] = self.drives["statusword.left_knee"][:] = (
-            Statusword.OPERATION_ENABLED
-        )
+        self.drives["statusword.right_knee"][:] = self.drives["statusword.left_knee"][:] = Statusword.OPERATION_ENABLED
         for foot, x in FEET.items():
             self.world[f"foot.{foot}.x"][:] = x
             self.world[f"contact.{foot}.z"][:] = -WEIGHT
@@ -74,9 +72,7 @@ class Run:
         monitor = Monitor(VerdictConfig.model_validate(limits), CHANNELS)
         for row in range(0, len(self.t), RATE // 10):
             now = int(self.world.times[row])
-            reason = monitor.check(
-                now, *(self.tables[name].data[row] for name in ("world", "controller", "drives"))
-            )
+            reason = monitor.check(now, *(self.tables[name].data[row] for name in ("world", "controller", "drives")))
             if reason is not None:
                 return now // 10**6, reason
         return None
@@ -246,24 +242,16 @@ def test_a_missing_or_undefined_channel_leaves_gaps_instead_of_numbers(channel: 
 # --- oscillation ----------------------------------------------------------------------------------
 
 
-@given(
-    st.floats(2.0, 40.0), st.floats(-1.0, 1.0), st.floats(0, 6.3), st.floats(1e-6, 1.0), st.integers(0, 100)
-)
-def test_a_growing_sine_is_measured(
-    frequency: float, growth: float, phase: float, size: float, seed: int
-) -> None:
+@given(st.floats(2.0, 40.0), st.floats(-1.0, 1.0), st.floats(0, 6.3), st.floats(1e-6, 1.0), st.integers(0, 100))
+def test_a_growing_sine_is_measured(frequency: float, growth: float, phase: float, size: float, seed: int) -> None:
     t = np.arange(0.0, 5.0, 1 / RATE)
     drift = 0.2 + 0.1 * t - 0.01 * t**3  # a slow path is no oscillation
     noise = 0.005 * np.random.default_rng(seed).normal(size=len(t))
-    x = size * (
-        drift + noise + 0.05 * np.exp(growth * (t - t[-1])) * np.sin(2 * np.pi * frequency * t + phase)
-    )
+    x = size * (drift + noise + 0.05 * np.exp(growth * (t - t[-1])) * np.sin(2 * np.pi * frequency * t + phase))
     found = dominant_oscillation(t, x)
     assert found is not None
     assert found.frequency == pytest.approx(frequency, abs=0.05)
-    assert (
-        abs(found.growth - growth) < 0.05 + 0.2 * abs(growth) + 3.0 * found.growth_error
-    )  # few periods at 2 Hz
+    assert abs(found.growth - growth) < 0.05 + 0.2 * abs(growth) + 3.0 * found.growth_error  # few periods at 2 Hz
     if growth > -0.3:  # of one that dies out, what removing the drift leaves at the end is as large
         assert found.amplitude == pytest.approx(0.05 * size, rel=0.25)
 
@@ -272,8 +260,7 @@ def test_the_error_of_the_growth_rate_is_its_scatter() -> None:
     t = np.arange(0.0, 3.0, 1 / RATE)
     rng = np.random.default_rng(3)
     found = [
-        dominant_oscillation(t, 0.01 * np.sin(2 * np.pi * 6.0 * t) + 0.01 * rng.normal(size=len(t)))
-        for _ in range(200)
+        dominant_oscillation(t, 0.01 * np.sin(2 * np.pi * 6.0 * t) + 0.01 * rng.normal(size=len(t))) for _ in range(200)
     ]
     growths = np.array([f.growth for f in found if f is not None])
     errors = np.array([f.growth_error for f in found if f is not None])
@@ -305,7 +292,6 @@ def test_growth_needs_size_rate_and_certainty() -> None:
 def pushed(t: np.ndarray, force: float, ramp: float = 1.0) -> np.ndarray:
     """A trapezoid from 2 s to 6 s."""
     return force * np.clip(np.minimum((t - 2.0) / ramp, (6.0 - t) / ramp), 0.0, 1.0)
-
 
 
 @given(st.floats(100, 5000), st.floats(10, 100), st.sampled_from([1, -1]), st.floats(-0.02, 0.02))
@@ -357,9 +343,7 @@ def test_stiffness_by_direction_is_among_the_metrics_whatever_came_before_the_re
     ("base.pitch", 0.26, {"orientation_error": "0.26rad"}, r"torso tilted by 14.9° \(limit 14.9°\) at 5.00 s"),
     ("foot.left_foot.y", 0.03, {"foot_slip": "3cm"}, r"foot slipped: left_foot by 30 mm \(limit 30 mm\) at 5.00 s"),
 ])  # fmt: skip
-def test_a_limit_ends_the_run_when_it_is_passed(
-    signal: str, value: float, limit: dict[str, str], words: str
-) -> None:
+def test_a_limit_ends_the_run_when_it_is_passed(signal: str, value: float, limit: dict[str, str], words: str) -> None:
     within, beyond = Run(), Run()
     within.world[signal][within.t >= 5.0] += 0.9999 * value
     beyond.world[signal][beyond.t >= 5.0] += 1.0001 * value
@@ -419,9 +403,7 @@ def test_a_foot_that_should_hold_must_not_be_lost_for_long(seconds: float, stabl
 @pytest.mark.parametrize("channel, name", [("com.x", "com.x"), ("com.z", "com.z"), ("base.roll", "roll")])
 @pytest.mark.parametrize("growth, size, stable", [(0.5, 0.02, False), (0.1, 0.02, True), (0.5, 0.004, True),
                                                   (-0.5, 0.02, True)])  # fmt: skip
-def test_a_growing_oscillation_is_unstable(
-    channel: str, name: str, growth: float, size: float, stable: bool
-) -> None:
+def test_a_growing_oscillation_is_unstable(channel: str, name: str, growth: float, size: float, stable: bool) -> None:
     run = Run()
     run.world[channel][:] += size * np.exp(growth * (run.t - DURATION)) * np.sin(2 * np.pi * 4.0 * run.t)
     verdict = run.verdict("limits.growth_rate=0.2", "limits.growth_amplitude=5mm")
@@ -447,9 +429,7 @@ def test_a_growing_oscillation_of_the_internal_force_counts_against_the_force_to
 
 def test_what_the_monitor_said_is_the_reason() -> None:
     verdict = Run().verdict(stopped="fallen: …")
-    assert (verdict.stable, verdict.reason) == (False, "fallen: …") and verdict.metrics[
-        "com_error_max"
-    ] == 0.0
+    assert (verdict.stable, verdict.reason) == (False, "fallen: …") and verdict.metrics["com_error_max"] == 0.0
 
 
 def test_a_run_that_ends_before_errors_count_says_so() -> None:

@@ -83,9 +83,7 @@ def test_what_was_cut_off_is_repeated_up_to_there(tmp_path: Path) -> None:
         replay(tmp_path / "run")
 
 
-def test_a_difference_is_found_and_placed(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_difference_is_found_and_placed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     meddled_with(tmp_path / "run")
     journal = tmp_path / "run" / "journal.jsonl"
     lines = journal.read_text().splitlines()
@@ -132,8 +130,7 @@ def test_what_is_no_journal_is_refused(
 WORDS = ["time_ns", "end_ns", "digest", "key", "value", "by", "bus", "port", "frame", "id", "data", "fd", "x"]
 ENTRIES = st.recursive(
     st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=5),
-    lambda inner: st.lists(inner, max_size=3)
-    | st.dictionaries(st.sampled_from(WORDS), inner, max_size=6),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.sampled_from(WORDS), inner, max_size=6),
     max_leaves=12,
 )
 

@@ -57,7 +57,7 @@ def test_the_boundary_lies_where_half_of_the_seeds_are_stable(tmp_path: Path) ->
     edges = np.concatenate(band)
     for gain in (0.5, 1.0, 2.0):
         delays = edges[np.isclose(edges[:, 1], gain), 0]
-        # eight of eight stable up to − 3.5 ms, none from + 3.5 ms on; the edge is drawn half a step from there
+        # eight of eight are stable up to − 3.5 ms, none is from + 3.5 ms on, on a grid of 1 ms
         assert delays.min() == pytest.approx(boundary_of(gain) - 3.5e-3, abs=1.1e-3)
         assert delays.max() == pytest.approx(boundary_of(gain) + 3.5e-3, abs=1.1e-3)
 

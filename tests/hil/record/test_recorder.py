@@ -86,9 +86,7 @@ def test_a_file_cut_at_any_byte_keeps_all_whole_chunks(tmp_path: Path) -> None:
             assert length < announced and str(cut) in str(error)
             continue
         for name, table in tables.items():
-            expected = sum(
-                rows for end, channel, rows in chunks(content) if end <= length and channel == name
-            )
+            expected = sum(rows for end, channel, rows in chunks(content) if end <= length and channel == name)
             assert len(table) == expected, (length, name)
             np.testing.assert_array_equal(table.data, whole[name].data[:expected])
             seen.add((name, expected))
@@ -132,9 +130,7 @@ def test_everything_flushed_is_with_the_operating_system(tmp_path: Path) -> None
     tables = load_tables(tmp_path)
     assert [len(table) for table in tables.values()] == [4, 4]
     frames = [f for bus in BUSES for f in can.CanutilsLogReader(tmp_path / f"{bus}.log")]
-    assert [frame.data[0] for frame in frames] == [0, 2, 1, 3] and all(
-        f.is_fd and f.bitrate_switch for f in frames
-    )
+    assert [frame.data[0] for frame in frames] == [0, 2, 1, 3] and all(f.is_fd and f.bitrate_switch for f in frames)
 
 
 @pytest.mark.parametrize("content", [b"", b"not a record at all", b"\x89MCAP0\r\n"])
@@ -192,9 +188,7 @@ def test_the_digest_sees_every_bit(row: int, bit: int, where: str) -> None:
                 data[bit // 8] ^= 1 << bit % 8
             recorder.channel("world").append(time ^ (flipped and where == "time") << bit % 32, values)
             recorder.channel("drives").append(time, values[:1])
-            recorder.frame(
-                time, int(flipped and where == "bus"), Frame(0x184, bytes(data), True, True, False)
-            )
+            recorder.frame(time, int(flipped and where == "bus"), Frame(0x184, bytes(data), True, True, False))
         return recorder.digest()
 
     assert record(True) != record(False) == record(False)
@@ -244,9 +238,7 @@ def test_names_that_ros_does_not_take_are_refused(signals: list[str]) -> None:
 
 def test_an_empty_record_is_a_valid_file(tmp_path: Path) -> None:
     McapWriter(tmp_path / SIGNALS_FILE, CHANNELS).close()
-    summary = make_reader(
-        io.BytesIO((tmp_path / SIGNALS_FILE).read_bytes()), validate_crcs=True
-    ).get_summary()
+    summary = make_reader(io.BytesIO((tmp_path / SIGNALS_FILE).read_bytes()), validate_crcs=True).get_summary()
     assert summary is not None and summary.statistics is not None and summary.statistics.message_count == 0
     assert [len(table) for table in load_tables(tmp_path).values()] == [0, 0]
 

@@ -92,6 +92,9 @@ class Drive:
         c = np.zeros(pins.N_INPUTS)
         c[pins.MOTOR_ENCODER] = phi * self.joint.sensor.encoder
         c[pins.SPRING_ENCODER] = effort / self.joint.actuator.stiffness * self.joint.spring_counts_per_rad
+        linkage = self.joint.actuator.linkage
+        q = phi if linkage is None else float(linkage.joint_angle(phi))
+        c[pins.JOINT_ENCODER] = q * self.joint.sensor.joint_encoder
         if self.joint.sensor.force_resolution:
             c[pins.FORCE_ADC] = effort / self.joint.sensor.force_resolution
         return c
