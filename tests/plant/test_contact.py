@@ -49,7 +49,7 @@ def test_feet_slide_above_it():
 
 
 def test_a_foot_that_creeps_is_held_as_one_at_rest():
-    """A speed of 0.1 mm/s along the ground is braked like one of 1 mm/s: the solver converges from wherever it starts."""
+    """A speed of 0.1 mm/s along the ground is braked like one of 1 mm/s: the solver converges."""
     start = stance.initial(ROBOT, StanceConfig())
     model = build(ROBOT, start, TerrainConfig(), PlanarizerConfig(), 3000.0)
     data = mujoco.MjData(model)
