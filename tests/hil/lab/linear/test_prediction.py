@@ -10,7 +10,7 @@ from hil.cli import main
 from hil.lab.linear.delay_model import DelayModel
 from hil.lab.linear.linearisation import Linearisation
 from hil.lab.linear.prediction import Prediction, parting, predict
-from hil.lab.margin import Search
+from hil.lab.margin import Search, SeedMargin, Tried
 from hil.lab.quantity import Quantity, quantity
 from hil.scenario import load
 
@@ -116,3 +116,19 @@ def test_mistakes(arguments, sentence, capsys):
     assert main(["linearise", "stand", *arguments]) == 2
     error = capsys.readouterr().err
     assert sentence in error and error.count("\n") == 1
+
+
+@pytest.mark.parametrize(("margin", "why"), [(5e-3, None), (17e-3, "dry friction")])
+def test_beside_a_margin(margin, why, monkeypatch, capsys):
+    runs = (Tried(margin, True, "stood", {}), Tried(margin + 1e-4, False, "foot slipped", {}))
+    found = [SeedMargin(0, margin, margin + 1e-4, runs)]
+    monkeypatch.setattr("hil.lab.margin.margins", lambda *_: found)
+    monkeypatch.setattr("hil.lab.linear.prediction.predicted", lambda *_: Prediction(4.7e-3, None, ()))
+    arguments = ["margin", "stand", "--of", "link.command.delay", "--seeds", "1", "--predict"]
+    assert main([*arguments, "--json"]) == 0
+    record = json.loads(capsys.readouterr().out)
+    assert (record["margin"], record["predicted"], record["unit"]) == (margin, 4.7e-3, "s")
+    assert record["parting"] is None if why is None else why in record["parting"]
+    assert main(arguments) == 0
+    told = capsys.readouterr().out
+    assert "predicted   4.7 ms" in told and (why is None or why in told)
