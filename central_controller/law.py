@@ -19,6 +19,7 @@ from central_controller.model import RobotModel
 from central_controller.path import offset
 from central_controller.tasks import feedback
 from central_controller.wbosc import whole_body_control
+from robots.description import Robot
 
 # What a tick leaves for the next: orientation, filtered joint velocities, integrals of the feedback, heading of the
 # line between the feet, filtered internal force.
@@ -27,6 +28,17 @@ ORIENTATION = slice(0, 4)
 
 def memory_size(joints: int) -> int:
     return 4 + joints + 4 + 1 + 1
+
+
+def memory_names(robot: Robot) -> tuple[str, ...]:
+    """Names of the memory's directions: turns of the orientation in the base's frame in place of the quaternion."""
+    return (
+        *[f"attitude {axis}" for axis in ("roll", "pitch", "yaw")],
+        *[f"velocity of {joint}" for joint in robot.joint_names],
+        *[f"integral of {task}" for task in ("CoM x", "CoM z", "pitch", "roll")],
+        "heading",
+        "internal force",
+    )
 
 
 def _split_memory(memory: ca.SX, joints: int) -> list[ca.SX]:

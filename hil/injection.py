@@ -150,6 +150,11 @@ class Injector:
         """How many of the changes so far are not the scenario's."""
         return sum(entry["by"] != "scenario" for entry in self.injected)
 
+    @property
+    def values(self) -> Mapping[str, Any]:
+        """What is in force now, in SI units, by key."""
+        return self._values
+
     def inject(self, now_ns: int, key: str, value: Any, by: str = "query") -> Any:
         """Change one value from now on. Returns it in SI units; raises UserError for a wrong key or value."""
         from hil.scenario import parse_value

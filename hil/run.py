@@ -101,13 +101,19 @@ Progress = Callable[[Any, float], None]  # system, wall seconds since the first 
 
 
 @contextlib.contextmanager
-def assemble(request: Request, wrap: Callable[[str, Any], Any] = lambda _, node: node) -> Iterator[Assembly]:
+def assemble(
+    request: Request,
+    wrap: Callable[[str, Any], Any] = lambda _, node: node,
+    alter: Callable[[description.Robot], description.Robot] = lambda robot: robot,
+) -> Iterator[Assembly]:
     """Build all nodes on the backend and connect them; on leaving, every process and socket of the run is gone.
 
-    ``wrap(name, node)`` may put a proxy around a node or host (the benchmark measures through it).
+    ``wrap(name, node)`` may put a proxy around a node or host (the benchmark measures through it). ``alter(robot)`` may
+    put another description in place of every one that is loaded (inline only: the other backend's controller loads its
+    own).
     """
     scenario = request.scenario
-    robot = description.load(scenario.robot)
+    robot = alter(description.load(scenario.robot))
     random = streams(request.seed)
     with contextlib.ExitStack() as stack:
         kernel = None
@@ -153,8 +159,9 @@ def assemble(request: Request, wrap: Callable[[str, Any], Any] = lambda _, node:
         from plant.world import World
 
         world = World(
-            robot, scenario.world, scenario.terrain, scenario.stance, scenario.sensors, scenario.push, random,
-            compile=compile_function, imu_rate=scenario.firmware.report_rate,
+            alter(description.load(scenario.robot, scenario.world.variant)),
+            scenario.world.model_copy(update={"variant": None}), scenario.terrain, scenario.stance, scenario.sensors,
+            scenario.push, random, compile=compile_function, imu_rate=scenario.firmware.report_rate,
         )  # fmt: skip
         from central_controller.controller import telemetry_fields
 
@@ -166,7 +173,7 @@ def assemble(request: Request, wrap: Callable[[str, Any], Any] = lambda _, node:
             from hil.backends.inline import InlineController, InlineJoints
 
             joints = InlineJoints(nodes, world.pins_in, world.pins_out)
-            model = description.load(scenario.robot, scenario.controller.variant)
+            model = alter(description.load(scenario.robot, scenario.controller.variant))
             controller = InlineController(Controller(model, scenario.controller, compile=compile_function))
 
         from hil.analysis.verdict import Monitor

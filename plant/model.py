@@ -60,7 +60,9 @@ def build(
     option.solver = mujoco.mjtSolver.mjSOL_NEWTON
     option.jacobian = mujoco.mjtJacobian.mjJAC_DENSE
     option.iterations = 20
-    option.ls_iterations = 20
+    # A foot that creeps by a tenth of a millimetre a second starts the search at the edge of its friction cone, and one
+    # that gives up after 20 evaluations leaves the forces of the step before in place.
+    option.ls_iterations = 50
     option.tolerance = 1e-10
     option.impratio = FRICTION_TO_NORMAL_IMPEDANCE
     # Islands and mid phase have nothing to gain here. Automatic reset would hide a diverged run.

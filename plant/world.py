@@ -72,6 +72,8 @@ class World:
         self._push = self.data.xfrc_applied[self._torso]
         self._rotation = self.data.xmat[self._torso]
         self._sensed = self.data.sensordata
+        stages = np.repeat(self.model.sensor_needstage, self.model.sensor_dim)
+        self._of_the_step_before = stages == mujoco.mjtStage.mjSTAGE_ACC  # forces and accelerations
         self._actuators = ActuatorBank(robot, self._dt, config.friction_scale, compile, self._q, self._dq)
         self._joint_sensors = JointSensors(robot, sensors, streams, compile, self._actuators)
         self.faults = FaultyJoints(robot, self._actuators, streams)
@@ -97,6 +99,11 @@ class World:
     def steps(self) -> int:
         """Physics steps so far."""
         return self._steps
+
+    @property
+    def actuators(self) -> ActuatorBank:
+        """Of the joints, in their order."""
+        return self._actuators
 
     @property
     def time(self) -> float:
@@ -257,7 +264,8 @@ class World:
     def restore(self, state: dict[str, Any]) -> None:
         mujoco.mj_setState(self.model, self.data, state["state"], mujoco.mjtState.mjSTATE_INTEGRATION)
         mujoco.mj_step1(self.model, self.data)
-        self._sensed[:] = state["sensed"]  # forces and accelerations belong to the step before
+        late = self._of_the_step_before
+        self._sensed[late] = state["sensed"][late]
         self._steps = state["steps"]
         self._actuators.restore(state["actuators"])
         self._joint_sensors.restore(state["joint_sensors"])

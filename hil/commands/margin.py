@@ -12,6 +12,7 @@ from hil.commands.arguments import add_scenario, positive, scenario_of, seconds
 from hil.errors import EXIT_STABLE, EXIT_UNSTABLE, UserError
 
 if TYPE_CHECKING:
+    from hil.lab.margin import Search
     from hil.lab.quantity import Quantity
 
 
@@ -30,6 +31,9 @@ def add_parser(commands: Any) -> None:
         help="when a value that can be injected changes (5s): what is found is the margin of what goes on then",
     )  # fmt: skip
     parser.add_argument("--resolution", metavar="STEP", help="how fine, e.g. 0.1ms (default: a 64th of the margin)")
+    parser.add_argument(
+        "--predict", action="store_true", help="also where the linearised loop becomes unstable (see `hil linearise`)"
+    )
     parser.add_argument("--jobs", type=positive, metavar="N", help="processes at once (default: one per core)")
     parser.add_argument("--json", action="store_true", help="print one JSON object, SI units, and nothing else")
     parser.add_argument("--out", type=Path, metavar="DIR", help="write margin.json, margin.png and margin.html there")
@@ -61,6 +65,8 @@ def _margin(options: argparse.Namespace) -> int:
     with Counter(f"{scenario.name}: {varied.key}", options.seeds, "seeds", sys.stderr) as progress:
         found = margins(search, range(options.seeds), jobs, progress.show)
     result = summary(search, found)
+    if options.predict:
+        result |= _predicted(search, result)
     if options.out is not None:
         from hil.report.margin_page import write_margin
 
@@ -72,6 +78,24 @@ def _margin(options: argparse.Namespace) -> int:
         if options.out is not None:
             print(f"report      {options.out / 'margin.html'}")
     return EXIT_UNSTABLE if result["unstable_at_start"] == len(found) else EXIT_STABLE
+
+
+def _predicted(search: Search, result: dict[str, Any]) -> dict[str, Any]:
+    """What the linear loop says of the same, and why that differs where it does."""
+    from hil.lab.linear.prediction import parting, predicted
+    from hil.report.progress import Counter
+
+    with Counter("the linear loop", 10, "linearisations", sys.stderr) as progress:
+        found = predicted(search, lambda steps: progress.show(len(steps)))
+    reasons = [
+        run["reason"] for seed in result["per_seed"] for run in seed["tried"] if run["value"] == seed["unstable"]
+    ]
+    record = found.record()
+    return {
+        "predicted": record.pop("predicted"),
+        "parting": parting(search, found, result["margin"], reasons),
+        "linear": record,
+    }
 
 
 def _print(result: dict[str, Any], quantity: Quantity) -> None:

@@ -60,6 +60,18 @@ class Search:
         first = nominal / 4 if nominal else _SCALES.get(self.quantity.unit, 1.0)
         return max(1.0, round(first)) if self.quantity.kind == "integer" else first
 
+    def outwards(self) -> Iterator[float]:
+        """Values to try one after the other: the far end, or in steps that double up to the bound."""
+        if self.far is not None:
+            yield self.far
+            return
+        distance, bound = self.step, self.bound
+        while (value := self.start + distance) < bound:
+            yield _rounded(self, value)
+            distance *= 2.0
+        if bound > self.start:
+            yield bound
+
 
 @dataclass(frozen=True)
 class Tried:
@@ -110,7 +122,7 @@ def bisect(search: Search, seed: int, attempt: Callable[[float], Tried]) -> Seed
         if stable(high):
             return SeedMargin(seed, high, None, tuple(tried))
     else:
-        for value in _outwards(search):
+        for value in search.outwards():
             if not stable(value):
                 high = value
                 break
@@ -135,15 +147,6 @@ def bisect(search: Search, seed: int, attempt: Callable[[float], Tried]) -> Seed
         else:
             high = middle
     return SeedMargin(seed, low, high, tuple(tried))
-
-
-def _outwards(search: Search) -> Iterator[float]:
-    distance, bound = search.step, search.bound
-    while (value := search.start + distance) < bound:
-        yield _rounded(search, value)
-        distance *= 2.0
-    if bound > search.start:
-        yield bound
 
 
 def _resolution(search: Search, high: float) -> float:

@@ -51,6 +51,8 @@ def sentences(result: Mapping[str, Any], quantity: Quantity) -> list[str]:
         lines.append(f"            {result['unstable_at_start']} of them unstable from the start")
     if result.get("predicted") is not None:
         lines.append(f"predicted   {shown(result['predicted'])}, of the linear loop")
+    if result.get("parting") is not None:
+        lines.append(f"            {result['parting']}")
     return lines
 
 
