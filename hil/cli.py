@@ -21,7 +21,7 @@ from pathlib import Path  # noqa: E402
 from typing import Any, NoReturn  # noqa: E402
 
 from hil.commands import bus_command, export, joint_command  # noqa: E402
-from hil.commands.arguments import natural, with_second  # noqa: E402
+from hil.commands.arguments import natural, record_directory, with_second  # noqa: E402
 from hil.errors import EXIT_EMULATION, EmulationError, HilError, UserError  # noqa: E402
 
 
@@ -131,10 +131,13 @@ def _parser() -> argparse.ArgumentParser:
     inject.set_defaults(command=_inject)
 
     joint_command.add_parser(commands)
-    from hil.commands import linearise, margin, protection, replay, sweep
+    from hil.commands import bisect, campaign, diff, linearise, margin, protection, replay, sweep
     from hil.commands import map as map_command
 
     replay.add_parser(commands)
+    diff.add_parser(commands)
+    bisect.add_parser(commands)
+    campaign.add_parser(commands)
     protection.add_parser(commands)
     margin.add_parser(commands)
     linearise.add_parser(commands)
@@ -151,33 +154,6 @@ def _endpoint(text: str) -> str:
     if match is None or not 0 < int(match.group(1)) < 65536:
         raise argparse.ArgumentTypeError(f"{text!r}: expected tcp/HOST:PORT, for example tcp/127.0.0.1:7447")
     return text
-
-
-def _directory(out: Path | None, default: str) -> Path:
-    """The directory of the record, created. Its name is the run's: it becomes part of Zenoh keys."""
-    if out is None:
-        for n in range(1, 100):  # two runs within one second
-            candidate = Path("runs") / (default if n == 1 else f"{default}-{n}")
-            if not candidate.exists():
-                out = candidate
-                break
-    assert out is not None
-    if out.name in ("", ".."):
-        out = out.resolve()
-    name = out.name
-    if not name or set(name) & set("*$?#"):
-        raise UserError(f"--out {out}: the last part names the run and must not contain * $ ? #")
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except FileExistsError:
-        raise UserError(f"--out {out}: is a file; name a directory") from None
-    except OSError as error:
-        raise UserError(f"--out {out}: cannot be created ({error.strerror})") from None
-    if any((out / record).exists() for record in ("run.json", "signals.mcap")):
-        raise UserError(f"--out {out}: holds the record of another run; name a new directory")
-    if not os.access(out, os.W_OK | os.X_OK):
-        raise UserError(f"--out {out}: cannot be written to")
-    return out
 
 
 def _run(options: argparse.Namespace) -> int:
@@ -211,7 +187,7 @@ def _run(options: argparse.Namespace) -> int:
         except SocketCanError as error:
             raise UserError(f"--can {options.can}: {error}") from None
     stamp = time.strftime("%Y%m%d-%H%M%S")
-    out = _directory(options.out, f"{scenario.name}-seed{options.seed}-{stamp}")
+    out = record_directory(options.out, f"{scenario.name}-seed{options.seed}-{stamp}")
     from hil.control import serve_run
 
     for note in notes(scenario):
@@ -284,6 +260,8 @@ def _print_outcome(record: dict[str, Any]) -> None:
 
     print(f"{record['scenario']}, seed {record['seed']}, {record['backend']}, {record['clock']} clock")
     print(f"verdict     {record['verdict']}: {record['reason']}")
+    for sign in record["came_first"][:1]:
+        print(f"came first  {sign['kind']}, {sign['where']}, at {sign['time']:.2f} s: {sign['sentence']}")
     print(f"simulated   {record['simulated_time']:.2f} s at {record['realtime_factor']:.2f} × real time")
     print(f"CoM error   max {number('com_error_max', 1e3, 'mm')}, rms {number('com_error_rms', 1e3, 'mm')}")
     if metrics.get("internal_force_error") is not None:

@@ -129,7 +129,7 @@ class Injector:
         self._known = injectable(robot)
         self._setters = dict(sorted(setters.items(), key=lambda item: -len(item[0])))
         self._journal = journal
-        self._values = {key: _configured(scenario, key, entry.default) for key, entry in self._known.items()}
+        self._values = {key: configured(scenario, key, entry.default) for key, entry in self._known.items()}
         changes: list[tuple[int, int, str, Any]] = []  # at, number, key, value
         for n, injection in enumerate(scenario.inject):
             changes.append((round(injection.at * 1e9), n, injection.key, injection.value))
@@ -201,7 +201,7 @@ class Injector:
         self.injected = list(state["injected"])
 
 
-def _configured(scenario: Scenario, key: str, default: Any) -> Any:
+def configured(scenario: Scenario, key: str, default: Any) -> Any:
     """The value of ``key`` at the start."""
     node: Any = scenario
     for part in key.split("."):

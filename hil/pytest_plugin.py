@@ -9,8 +9,6 @@ Nothing of the emulation is imported before a test uses it.
 
 from __future__ import annotations
 
-import hashlib
-import re
 import shutil
 from collections import deque
 from collections.abc import Generator, Iterator, Mapping, Sequence
@@ -25,7 +23,6 @@ if TYPE_CHECKING:
 
 _KEPT = 3  # runs of one test of which a report is written when it fails: the last ones
 _PROPERTY = "hil_report"  # of a test's report, one per run
-_LONGEST = 150  # characters of a directory's name
 _IN_USE = pytest.StashKey[tuple["Hil", Path]]()
 
 
@@ -106,7 +103,7 @@ def hil_seed() -> int:
 
 @pytest.fixture
 def hil_fault() -> dict[str, Any]:
-    """What the marker hil_faults has every run of this test get: ``settings`` or ``inject`` of ``hil.scenario.load``."""
+    """What the marker hil_faults adds to every run of this test, by argument of ``hil.scenario.load``."""
     return {}
 
 
@@ -187,10 +184,9 @@ def pytest_runtest_makereport(
 
 def _directory(request: pytest.FixtureRequest) -> Path:
     """Where the runs of a test are kept if it fails: its own place, so that workers of xdist do not meet."""
-    name = re.sub(r"[^\w.=-]+", "_", request.node.nodeid).strip("_")
-    if len(name) > _LONGEST:
-        name = f"{name[:_LONGEST]}-{hashlib.sha256(name.encode()).hexdigest()[:12]}"
-    config = request.config
+    from hil.report.names import file_name
+
+    name, config = file_name(request.node.nodeid), request.config
     chosen = config.getoption("hil_reports")
     if chosen is not None:
         return (config.invocation_params.dir / chosen / name).resolve()

@@ -9,7 +9,7 @@ import platform
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from importlib import metadata
 from pathlib import Path
 from types import MappingProxyType
@@ -55,6 +55,7 @@ class Outcome:
     record: dict[str, Any]
     exit_status: int
     tables: dict[str, Any] = field(default_factory=dict)
+    last_seconds: Any = None  # at the rate of the physics, of a run that has failed (hil.record.signals.Signals)
 
     @property
     def stable(self) -> bool:
@@ -178,6 +179,7 @@ def assemble(
         from hil.analysis.verdict import Monitor
         from hil.record.journal import Journal
         from hil.record.recorder import Recorder
+        from hil.record.ring import StepRing
         from hil.system import System
 
         buses = [bus.name for bus in robot.buses]
@@ -205,6 +207,7 @@ def assemble(
             )
             if kernel is not None:
                 kernel.connect(system)
+            system.ring = StepRing(world.every_step(), scenario.world.rate)
             system.wires = [wrap("bus", wire) for wire in system.wires]
             pids = {"launcher": os.getpid(), **family.pids}
             endpoint = controller.endpoint if session is not None else None
@@ -291,6 +294,11 @@ def conclude(
         name, reason, status = "stable", verdict.reason, EXIT_STABLE
     else:
         name, reason, status = "unstable", verdict.reason, EXIT_UNSTABLE
+    came_first = []
+    if name == "unstable":
+        from hil.analysis.causes import signs
+
+        came_first = [asdict(sign) for sign in signs(tables, scenario)]
     record: dict[str, Any] = {
         "scenario": scenario.name,
         "seed": request.seed,
@@ -300,6 +308,7 @@ def conclude(
         "external": list(request.external),
         "verdict": name,
         "reason": reason,
+        "came_first": came_first,
         "metrics": verdict.metrics,
         "bus": bus_statistics(system.wires, scenario),
         "log_digest": recorder.digest(),
@@ -317,7 +326,8 @@ def conclude(
         "versions": versions(),
         "configuration": scenario.model_dump(mode="json"),
     }
-    outcome = Outcome(record, status, tables)
+    failed = system.stop_reason is not None and system.ring is not None
+    outcome = Outcome(record, status, tables, system.ring.table(system.world.steps) if failed else None)
     if request.out is not None:
         if request.video and len(tables["world"]):
             from hil.report.video import write_video
@@ -345,6 +355,14 @@ def write_record(directory: Path, scenario: Scenario, outcome: Outcome, report: 
     robot = description.load(scenario.robot)
     for bus in robot.buses:
         (directory / f"{bus.name}.dbc").write_text(dbc(robot, bus), encoding="utf-8")
+    if outcome.last_seconds is not None:
+        from hil.record.mcap_writer import McapWriter
+        from hil.record.ring import CHANNEL, LAST_SECONDS_FILE
+
+        table = outcome.last_seconds
+        writer = McapWriter(directory / LAST_SECONDS_FILE, {CHANNEL: table.names})
+        writer.write(CHANNEL, table.times, table.data)
+        writer.close()
     partial = directory / "run.json.part"
     partial.write_text(json.dumps(outcome.record, indent=2), encoding="utf-8")
     partial.replace(directory / "run.json")  # never half a record

@@ -117,6 +117,15 @@ def complete(data: dict[str, Any], source: str) -> Scenario:
     return scenario.model_copy(update={"bus": buses})
 
 
+def from_record(configuration: dict[str, Any], source: str) -> Scenario:
+    """The scenario of a ``model_dump`` that a run has recorded at ``source``. Raises UserError for anything else."""
+    try:
+        data = tomllib.loads(to_toml(configuration))
+    except (ValueError, TypeError, AttributeError):
+        raise UserError(f"{source} is no scenario") from None
+    return complete(data, source)
+
+
 def validate(data: dict[str, Any], source: str = "") -> Scenario:
     """Check ``data`` against the schema. Raises UserError naming a wrong key and what would be right."""
     try:

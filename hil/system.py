@@ -28,6 +28,7 @@ from hil.faults import Faults
 from hil.injection import Injector
 from hil.record.journal import Journal, frame_entry
 from hil.record.recorder import Recorder
+from hil.record.ring import StepRing
 from hil.scenario import Scenario
 from hil.streams import StreamFactory
 from robots.description import Robot
@@ -94,6 +95,7 @@ class System:
         self.now_ns = 0
         self.stop_reason: str | None = None  # set by the monitor
         self.tap: Tap | None = None
+        self.ring: StepRing | None = None
         self.requests: deque[Callable[[], None]] = deque()  # run between two events: injections while running
         self.journal = journal if journal is not None else Journal(None)
         self.tool_frames = 0
@@ -245,13 +247,19 @@ class System:
             self._tick_on_own_clocks(now)
         else:
             self.joints.start(now, self._inboxes)
-            for _ in range(self._steps_per_isr):
-                world.step()
+            self._step_physics()
             self._senders.offer(now, self.joints.finish())
             for inbox in self._inboxes:
                 inbox.clear()
         self._isr += 1
         self._isr_ns = tick_ns(self._isr, self._isr_rate)
+
+    def _step_physics(self) -> None:
+        world, ring = self.world, self.ring
+        for _ in range(self._steps_per_isr):
+            world.step()
+            if ring is not None:
+                ring.append()
 
     def _tick_on_own_clocks(self, now: int) -> None:
         """The same where clocks drift: a joint may tick once, twice or not at all within this tick of the world."""
@@ -259,8 +267,7 @@ class System:
         offsets = senders.offsets(now)
         idle = [joint for joint, times in offsets.items() if not times]
         self.joints.start(now, [[] if j in idle else inbox for j, inbox in enumerate(inboxes)], idle)
-        for _ in range(self._steps_per_isr):
-            self.world.step()
+        self._step_physics()
         senders.offer(now, self.joints.finish(), offsets)
         for joint, inbox in enumerate(inboxes):
             if joint not in idle:
@@ -439,6 +446,8 @@ class System:
         self.gateway.restore(state["gateway"])
         self.faults.restore(state["faults"])
         self.injector.restore(state["injector"])
+        if self.ring is not None:
+            self.ring.clear()
         if self.monitor is not None:
             self.monitor.restore(state["monitor"])
 

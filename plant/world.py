@@ -101,6 +101,11 @@ class World:
         return self._actuators
 
     @property
+    def steps(self) -> int:
+        """Physics steps so far."""
+        return self._steps
+
+    @property
     def time(self) -> float:
         """Simulated time, s."""
         return self._steps * self._dt
@@ -159,6 +164,27 @@ class World:
         row[at + 4] = self._hoist(self.time)
         row[at + 5 :] = self.data.qpos
         return row
+
+    def every_step(self) -> list[tuple[list[str], np.ndarray]]:
+        """Names and views of what every physics step changes, to be copied after it: what the record of the last
+        seconds before a fall holds. Of a model's generalised coordinates the joints' are the last."""
+        joints, sensed = self.robot.joint_names, self._sensed
+        feet = [foot.name for foot in self.robot.feet]
+        states = sorted(
+            (at, f"{name}.{joint}")
+            for joint, index in zip(joints, self._actuators.symbols.state_index, strict=True)
+            for name, at in index.items()
+        )
+        names = [f"{what}.{axis}" for what in ("com", "com_velocity") for axis in "xyz"]
+        names += [f"{what}.{foot}.{axis}" for what in ("foot", "contact") for foot in feet for axis in "xyz"]
+        return [
+            ([f"qpos.{i}" for i in range(self.model.nq)], self.data.qpos),
+            ([f"qvel.{i}" for i in range(self.model.nv)], self.data.qvel),
+            ([f"demand.{joint}" for joint in joints], self._actuators.current),
+            ([f"torque.{joint}" for joint in joints], self._actuators.torque),
+            ([f"actuator.{name}" for _, name in states], self._actuators.state),
+            (names, sensed[3:21]),
+        ]
 
     def fallen(self) -> bool:
         """Whether the torso touches the ground."""

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from bus.frames import Frame
+from hil.commands.arguments import record_directory
 from hil.errors import EXIT_STABLE, EXIT_UNSTABLE, EmulationError, UserError
 from hil.record import journal
 
@@ -41,18 +42,17 @@ class Replay:
         return frames
 
 
-def replay(directory: Path) -> tuple[bool, str]:
+def replay(directory: Path, out: Path | None = None) -> tuple[bool, str]:
     """Whether the run recorded in ``directory`` comes out the same again, and a sentence about it.
 
-    Raises UserError when there is nothing that can be replayed.
+    ``out``: where to write a whole record of the replay. Raises UserError when there is nothing that can be replayed.
     """
     from hil.run import Request, run, versions
-    from hil.scenario import complete
+    from hil.scenario import from_record
 
     start, *entries = journal.read(directory)
     start = start["run"]
-    source = f"{directory / journal.JOURNAL_FILE}: configuration"
-    scenario = complete(_readable(start["configuration"]), source)
+    scenario = from_record(start["configuration"], f"{directory / journal.JOURNAL_FILE}: configuration")
     recorded = {e["time_ns"]: e["digest"] for e in entries if "digest" in e and "time_ns" in e}
     end = next((e for e in entries if "end_ns" in e), None)
     if end is None:
@@ -60,12 +60,13 @@ def replay(directory: Path) -> tuple[bool, str]:
             raise UserError(f"{directory}: the run was ended before its first digest; there is nothing to compare")
         # an event at the time of the last digest belongs to the replay, a later one was not recorded completely
         scenario = scenario.model_copy(update={"duration": (max(recorded) + 1) * 1e-9})
-    digests = journal.Digests()
+    digests = journal.Digests(out)
 
     def prepare(assembly: Any) -> None:
         assembly.system.tap = Replay(assembly.system, entries)
 
-    outcome = run(Request(scenario, start["seed"], "inline", report=False, journal=digests), prepare=prepare)
+    request = Request(scenario, start["seed"], "inline", out=out, report=out is not None, journal=digests)
+    outcome = run(request, prepare=prepare)
     if outcome.record["verdict"] == "failed":
         raise EmulationError(f"the replay did not get to its end: {outcome.record['reason']}")
     until = f"{max(recorded) * 1e-9:.3f} s, where the run was cut off" if end is None else "its end"
@@ -78,27 +79,16 @@ def replay(directory: Path) -> tuple[bool, str]:
     return False, f"the digest differs {place}{' (' + '; '.join(changed) + ')' if changed else ''}"
 
 
-def _readable(configuration: dict[str, Any]) -> dict[str, Any]:
-    """A dumped configuration as a scenario file holds it: with units."""
-    import tomllib
-
-    from hil.scenario import to_toml
-
-    try:
-        return tomllib.loads(to_toml(configuration))
-    except (ValueError, TypeError, AttributeError):
-        raise UserError("the journal's configuration is no scenario") from None
-
-
 def add_parser(commands: Any) -> None:
     """Add the subcommand to ``hil``."""
     parser = commands.add_parser("replay", help="repeat a recorded run, with all that came into it from outside")
     parser.add_argument("directory", type=Path, metavar="DIR", help="the run's record")
+    parser.add_argument("--out", type=Path, metavar="NEW", help="write the replay's record, with logs and report")
     parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
     parser.set_defaults(command=_replay)
 
 
 def _replay(options: argparse.Namespace) -> int:
-    same, sentence = replay(options.directory)
+    same, sentence = replay(options.directory, None if options.out is None else record_directory(options.out))
     print(json.dumps({"same": same, "sentence": sentence}) if options.json else sentence)
     return EXIT_STABLE if same else EXIT_UNSTABLE

@@ -29,7 +29,7 @@ class Running:
         self.scenario, self.seed = scenario, seed
         self._journal = Entries()
         self._experiment = Experiment(scenario, seed, self._journal)
-        self._system = self._experiment.system
+        self.system = self._experiment.system
         self._journal.write({"run": origin(self._experiment.request)})
         self._end_ns = round(scenario.duration * 1e9)
         self._elapsed = 0.0  # wall-clock time, s
@@ -66,9 +66,10 @@ class Running:
         """
         try:
             seconds = parse_quantity(end, "s") if isinstance(end, str) else float(end)
+            end_ns = round(seconds * 1e9)
         except ValueError as error:
             raise UserError(f"until: {error}") from None
-        if not self._system.now_ns <= round(seconds * 1e9) <= self._end_ns:
+        if not self.system.now_ns <= end_ns <= self._end_ns:
             span = f"{self.time:g} s, now, to {self.scenario.duration:g} s, where the scenario ends"
             raise UserError(f"until {seconds:g} s: expected {span}")
         self._advance(seconds)
@@ -93,27 +94,27 @@ class Running:
     def snapshot(self) -> dict[str, Any]:
         """Everything, to come back to with ``restore`` as often as wanted."""
         state = self._experiment.snapshot()
-        return {"experiment": state, "requests": list(self._system.requests), "journal": list(self._journal.entries)}
+        return {"experiment": state, "requests": list(self.system.requests), "journal": list(self._journal.entries)}
 
     def restore(self, state: dict[str, Any]) -> None:
         """Go back to a snapshot of this run: it goes on from there as the first time, unless something is changed."""
         self._outcome = None
         self._experiment.restore(state["experiment"])
-        self._system.requests.extend(state["requests"])
+        self.system.requests.extend(state["requests"])
         self._journal.entries = list(state["journal"])
 
     def outcome(self) -> Outcome:
         """Judge what has been so far."""
         if self._outcome is None:
             experiment = self._experiment
-            self._outcome = conclude(experiment.request, self._system, experiment.recorder, None, self._elapsed)
+            self._outcome = conclude(experiment.request, self.system, experiment.recorder, None, self._elapsed)
         return self._outcome
 
     def finish(self) -> Outcome:
         """Go on to the end of the scenario, or to a failure, and judge."""
         self._advance(self.scenario.duration)
         outcome = self.outcome()
-        self._journal.write({"end_ns": self._system.now_ns, "digest": outcome.digest})
+        self._journal.write({"end_ns": self.system.now_ns, "digest": outcome.digest})
         self.close()
         return outcome
 
@@ -122,8 +123,8 @@ class Running:
         self._experiment.close()
 
     def save(self, directory: Path) -> None:
-        """Write the record as of now into ``directory``, which is created: verdict, report, signals, and the journal, so
-        that ``hil replay`` can repeat it. Buses' logs are not kept in memory: ``hil replay --out`` writes them."""
+        """Write the record as of now into ``directory``, which is created: verdict, report, signals, and the journal,
+        so that ``hil replay`` can repeat it. Buses' logs are not kept in memory: ``hil replay --out`` writes them."""
         from hil.record.mcap_writer import McapWriter
 
         outcome = self.outcome()

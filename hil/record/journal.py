@@ -47,10 +47,10 @@ class Journal:
 
 
 class Digests(Journal):
-    """Keeps the digests of a replay by their time, to be compared."""
+    """Keeps the digests of a replay by their time, to be compared; writes the journal, too, if it has a directory."""
 
-    def __init__(self) -> None:
-        super().__init__(None)
+    def __init__(self, directory: Path | None = None) -> None:
+        super().__init__(directory)
         self.at: dict[int, str] = {}
 
     @property
@@ -58,6 +58,7 @@ class Digests(Journal):
         return True
 
     def write(self, entry: dict[str, Any]) -> None:
+        super().write(entry)
         if "digest" in entry and "time_ns" in entry:
             self.at[entry["time_ns"]] = entry["digest"]
 

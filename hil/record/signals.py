@@ -82,19 +82,20 @@ class Signals:
         return np.maximum(np.searchsorted(self.times, times, side="right") - 1, 0)
 
     @classmethod
-    def load(cls, path: str | Path, channel: str) -> Self:
-        """One channel of the run in directory ``path``; what a killed run had written is read without complaint.
+    def load(cls, path: str | Path, channel: str, file: str = SIGNALS_FILE) -> Self:
+        """One channel of the run in directory ``path``, from this of its files; what a killed run had written is read
+        without complaint.
 
         Raises UserError if there is no such run or channel.
         """
-        tables = load_tables(path)
+        tables = load_tables(path, file)
         if channel not in tables:
             raise UserError(f"{path}: no channel {channel!r}; there is: {', '.join(tables)}")
         table = tables[channel]
         return cls(table.times, table.names, table.data)
 
 
-def load_tables(path: str | Path) -> dict[str, Signals]:
+def load_tables(path: str | Path, name: str = SIGNALS_FILE) -> dict[str, Signals]:
     """All channels of the run in directory ``path``, by name; of a run that was killed, what it had written.
 
     Raises UserError if there is no record in it, or one that is damaged: its checksums are looked at.
@@ -106,7 +107,7 @@ def load_tables(path: str | Path) -> dict[str, Signals]:
 
     from hil.record.mcap_writer import FIELDS_KEY, message_type
 
-    file = Path(path) / SIGNALS_FILE
+    file = Path(path) / name
     names: dict[int, tuple[str, tuple[str, ...]]] = {}
     parts: dict[int, list[np.ndarray]] = {}
 

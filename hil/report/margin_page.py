@@ -18,7 +18,6 @@ from hil.report.html import document, folded, picture
 from hil.report.plots import encoded
 from hil.scenario import to_toml
 
-
 _NAME = 12  # characters before the text of a line
 
 
@@ -45,8 +44,7 @@ def sentences(result: Mapping[str, Any], quantity: Quantity) -> list[str]:
             f"confidence  {low} to {high} holds the median of all seeds with {100 * interval['confidence']:.3g} % "
             "(order statistics)"
         )
-    each = ", ".join("–" if seed["stable"] is None else shown(seed["stable"]) for seed in seeds)
-    lines.append(f"by seed     {each}")
+    lines.append(f"by seed     {', '.join(_of_seed(seed, quantity) for seed in seeds)}")
     if result["open"] and result["margin"] is not None:
         lines.append(f"            {result['open']} of them stable as far as was looked")
     if result["unstable_at_start"] and result["margin"] is not None:
@@ -56,6 +54,12 @@ def sentences(result: Mapping[str, Any], quantity: Quantity) -> list[str]:
     if result.get("parting") is not None:
         lines.append(f"            {result['parting']}")
     return lines
+
+
+def _of_seed(seed: Mapping[str, Any], quantity: Quantity) -> str:
+    if seed["stable"] is None:
+        return "–"
+    return quantity.shown(seed["stable"]) + (" or beyond" if seed["unstable"] is None else "")
 
 
 def draw_margin(result: Mapping[str, Any], quantity: Quantity) -> Any:

@@ -81,6 +81,20 @@ def _numbers(record: Mapping[str, Any]) -> str:
     return f"<table>{''.join(rows)}</table>"
 
 
+def _came_first(record: Mapping[str, Any], directory: Path) -> str:
+    """What began before the run failed, in order; nothing for one that is stable."""
+    from hil.analysis.causes import Sign
+    from hil.record.ring import LAST_SECONDS_FILE
+
+    items = "".join(f"<li>{html.escape(str(Sign(**sign)))}</li>" for sign in record.get("came_first", ()))
+    if not items:
+        return ""
+    file = ""
+    if (directory / LAST_SECONDS_FILE).exists():
+        file = f'<p>The last seconds, every physics step: <a href="{LAST_SECONDS_FILE}">{LAST_SECONDS_FILE}</a></p>'
+    return f"<h2>What came first</h2><ol>{items}</ol>{file}"
+
+
 def write_report(directory: Path, record: Mapping[str, Any], tables: Mapping[str, Signals]) -> Path:
     """Write ``report.html`` into ``directory`` and return its path."""
     from hil.analysis.bus_statistics import statistics_table
@@ -100,7 +114,7 @@ def write_report(directory: Path, record: Mapping[str, Any], tables: Mapping[str
     body = f"""<p>{about}<br>{record["backend"]} backend, {record["clock"]} clock, {simulated},
 digest <code>{record["log_digest"][:16]}</code></p>
 {verdict(record["verdict"], record["reason"])}
-<h2>Injected</h2><ul>{items}</ul>
+{_came_first(record, directory)}<h2>Injected</h2><ul>{items}</ul>
 <h2>Key numbers</h2><p class=caption>From {settle:g} s on (grey in the plots: settling).
 Dash-dotted lines: injections while it ran.</p>{_numbers(record)}{plots}
 <h2>Waiting for the bus</h2><p class=caption>From the transmit queue to the start of the frame, beside the bound of

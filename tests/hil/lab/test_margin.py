@@ -182,3 +182,21 @@ def test_a_mistake_is_told_in_one_sentence(options: list[str], message: str, cap
 def test_a_wrong_range_is_the_user_s() -> None:
     with pytest.raises(UserError, match="expected 0 s to"):
         search("link.command.delay", 0.0, 2e6)
+
+
+def test_what_was_found_is_said_in_words() -> None:
+    from hil.report.margin_page import sentences
+
+    searched = search("link.command.delay")
+
+    def said(*found: SeedMargin) -> list[str]:
+        return sentences(summary(searched, found), searched.quantity)
+
+    both = said(SeedMargin(0, 0.010, 0.011, ()), SeedMargin(1, 0.02, None, ()))
+    assert both[0] == "margin      10 ms, the median of 2 seeds"
+    held = "holds the median of all seeds with 50 % (order statistics)"
+    assert both[1] == f"confidence  10 ms to beyond the search {held}"
+    assert both[2] == "by seed     10 ms, 20 ms or beyond"
+    assert said(SeedMargin(0, 8.0, None, ()))[0] == "margin      none found: stable up to 8 s, where the search ended"
+    tried = (Tried(0.0, False, "", {}),)
+    assert said(SeedMargin(0, None, 0.0, tried))[0] == "margin      none: unstable at 0 s already"
