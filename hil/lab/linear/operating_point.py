@@ -74,7 +74,8 @@ def _moved(settled: dict[str, Any], fresh: dict[str, Any]) -> dict[str, Any]:
         **settled,
         "world": {**world, "actuators": (*world["actuators"][:-1], fresh["world"]["actuators"][-1])},  # parameters
         "joints": [
-            {**old, "settings": new["settings"]} for old, new in zip(settled["joints"], fresh["joints"], strict=True)
+            {**old, "settings": (new["settings"][0], *old["settings"][1:])}  # what it has measured of itself stays
+            for old, new in zip(settled["joints"], fresh["joints"], strict=True)
         ],
         **{
             part: [{**old, "impairment": new["impairment"]} for old, new in zip(settled[part], own, strict=True)]
