@@ -141,7 +141,7 @@ class Bench:
 
     def step(self) -> None:
         """Advance by one step."""
-        torque = self.actuator.step()[0]
+        torque = self.actuator.step()[0] + self.faults.load[0]
         if self._locked:
             return
         dt, q = self._dt, self._q[0]

@@ -16,6 +16,7 @@ from robots.quantities import (
     Newtons,
     Radians,
     Seconds,
+    SignedNewtonMetres,
     TorquePerRadian,
     TorquePerRate,
 )
@@ -98,6 +99,9 @@ class JointFaults(Config):
     )
     friction: Annotated[float, Field(ge=0, le=100)] = Field(
         default=1.0, description="dry friction of the actuator, of its own"
+    )
+    load: Annotated[SignedNewtonMetres, Field(ge=-2000, le=2000)] = Field(
+        default=0.0, description="torque on the joint from outside: somebody hits or holds the leg"
     )
     isr_time: Annotated[Seconds, Field(ge=0, le=1)] = Field(
         default=0.0, description="what each interrupt of its drive takes, by the drive's own timer; 0: what it takes"

@@ -1,6 +1,6 @@
-"""What is wrong with joints: sensors that lie on the pins behind their models, supplies, springs, friction.
+"""What is wrong with joints: sensors that lie on the pins behind their models, supplies, springs, friction, loads.
 
-Nothing here is called in a tick while all sensors are well.
+Nothing here is called in a tick while all is well.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ class _Fault:
 class FaultyJoints:
     """The faults of ``plant.config.JointFaults`` in the joints of a robot and their actuators ``bank``.
 
-    ``on_pins`` tells whether ``apply`` has anything to do.
+    ``on_pins`` tells whether ``apply`` has anything to do, ``loaded`` whether ``load`` [N m] is on any joint.
     """
 
     def __init__(self, robot: Robot, bank: ActuatorBank, streams: Callable[[str], Any]) -> None:
@@ -70,7 +70,8 @@ class FaultyJoints:
         self._faults: dict[tuple[int, int], _Fault] = {}
         self._warmer: dict[int, int] = {}  # by joint, counts
         self._late: dict[int, int] = {}  # by joint, µs
-        self.on_pins = False
+        self.load = np.zeros(len(robot.joints))
+        self.on_pins = self.loaded = False
 
     def set(self, joint: int, key: str, value: Any) -> None:
         """Set a key of ``JointFaults``, in SI units. Raises KeyError for one that is not the plant's."""
@@ -86,6 +87,8 @@ class FaultyJoints:
             self._late[joint] = round(1e6 * value)
         elif key == "supply":
             self._bank.supply[joint] = value * of.actuator.supply_voltage
+        elif key == "load":
+            self.load[joint] = value
         elif key == "spring":
             self._scale(joint, _SPRING, value)
         elif key == "friction":
@@ -95,8 +98,9 @@ class FaultyJoints:
         self._look()
 
     def _look(self) -> None:
-        """Find out whether there is anything to do on the pins."""
+        """Find out whether there is anything to do."""
         self.on_pins = bool(self._faults or self._warmer or self._late)
+        self.loaded = bool(self.load.any())
 
     def _scale(self, joint: int, names: Sequence[str], share: float) -> None:
         """Set those of these parameters that the joint's actuator has to ``share`` of their own values."""
@@ -119,13 +123,14 @@ class FaultyJoints:
     def snapshot(self) -> Any:
         """What the bank's own snapshot does not hold."""
         faults = [vars(fault).copy() for fault in self._faults.values()]
-        return self._noise.snapshot(), faults, dict(self._warmer), dict(self._late)
+        return self._noise.snapshot(), faults, dict(self._warmer), dict(self._late), self.load.copy()
 
     def restore(self, state: Any) -> None:
-        noise, faults, warmer, late = state
+        noise, faults, warmer, late, load = state
         self._noise.restore(noise)
         self._faults = {(fault["joint"], fault["pin"]): _Fault(**fault) for fault in faults}
         self._warmer, self._late = dict(warmer), dict(late)
+        self.load[:] = load
         self._look()
 
 

@@ -129,6 +129,8 @@ class World:
         """One physics step."""
         now = self.time
         self._applied[-self._n :] = self._actuators.step()
+        if self.faults.loaded:
+            self._applied[-self._n :] += self.faults.load
         self._hoist_base(self._hoist(now))
         if self._pushes:
             self._push[:3] = self._push_force(now + 0.5 * self._dt)  # mid-step: the impulse is exact

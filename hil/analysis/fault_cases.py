@@ -73,6 +73,7 @@ CASES: tuple[FaultCase, ...] = (
     FaultCase(DriveFault.UNDER_VOLTAGE, 6 * _MS, "supply", 0.7),
     FaultCase(DriveFault.OVER_VOLTAGE, 2 * _MS, "supply", 1.3),
     FaultCase(DriveFault.OVER_CURRENT, 2 * _MS, "current_sensor", "jump"),
+    FaultCase(DriveFault.OVER_TORQUE, 120 * _MS, "load", "-600 N m"),
     FaultCase(DriveFault.OVER_TORQUE, 1 * _MS, limits={"over_torque": 0.05}),
     FaultCase(DriveFault.OVER_SPEED, 100 * _MS, limits={"over_speed": 0.003, "over_speed_time": 0.005}, moving=True),
     FaultCase(DriveFault.POSITION_LIMIT, 1 * _MS, limits={"soft_stop_below": 0.5}),

@@ -80,6 +80,33 @@ def test_braking_stops_a_turning_joint_sooner_than_friction_alone() -> None:
     assert 0.05 < ways["joint_encoder"] < 0.6 * ways["encoder"]
 
 
+@pytest.mark.parametrize(
+    ("fault", "at", "load", "limits"),
+    [
+        (DriveFault.OVER_TORQUE, 0.0, 300.0, {}),
+        (DriveFault.POSITION_LIMIT, 3.2, 60.0, {}),
+        # beyond the no-load speed the motor brakes as a generator: at 1.5 of it torque or position trips first
+        (DriveFault.OVER_SPEED, -0.3, 100.0, {"over_speed": 1.0}),
+    ],
+)
+def test_a_load_from_outside_that_a_drive_cannot_hold_makes_it_trip(
+    fault: DriveFault, at: float, load: float, limits: dict[str, float]
+) -> None:
+    joint = ProtectedJoint(at=at, protection=limits)
+    joint.run(0.05)
+    assert not joint.firmware.fault
+    joint.bench.faults.set(0, "load", load)
+    for _ in range(600):
+        joint.run(0.001)
+        if joint.firmware.fault:
+            break
+    assert joint.firmware.fault is fault
+    brakes = fault is DriveFault.OVER_SPEED
+    assert joint.firmware.state is (DriveState.FAULT_REACTION_ACTIVE if brakes else DriveState.FAULT)
+    demand, enabled = joint.bench.pins_out[pins.CURRENT_DEMAND], joint.bench.pins_out[pins.ENABLE]
+    assert (demand * joint.bench.velocity < 0 and enabled) if brakes else (demand, enabled) == (0, 0)
+
+
 @pytest.mark.parametrize("law", ["PD_m", "PID_m", "PD_m+DOB", "cascade", "PD_f"])
 def test_no_law_makes_the_protection_trip(law: str) -> None:
     """Steps of up to a third of the torque limit, forth and back, with friction and noise."""
