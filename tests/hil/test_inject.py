@@ -158,7 +158,7 @@ def test_every_injectable_key_is_one_of_the_scenarios_and_keeps_its_range() -> N
     assert listed.items() <= keys_of_all_robots().items() and len(listed) > 90
     for key, entry in listed.items():
         assert parse_value(key, entry.written(entry.default)) == entry.default, key
-        bounds = re.fullmatch(r"(\S+) to (\S+?)( \w+)?", entry.range)
+        bounds = re.fullmatch(r"(\S+) to (\S+?)( [\w ]+)?", entry.range)
         if entry.default == "":
             assert parse_value(key, "0x182 crc:3") == "0x182 crc:3" and parse_value(key, "5 17 2") == "5 17 2"
             beyond = ["0x182", "crc:3", "0x182 crc:3 x", "-1 2"]
