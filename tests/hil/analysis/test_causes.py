@@ -74,11 +74,13 @@ def test_too_short_or_not_finite() -> None:
 
 
 def test_delay_makes_the_internal_force_oscillate_then_a_foot_slips() -> None:
-    """Beside the linear model's prediction: that loop crosses over between 8 and 9 Hz when it is 20 ms late; 24 ms are clearly too late."""
+    """Beside the linear model's prediction: that loop crosses over between 8 and 9 Hz when it is 20 ms late. 24 ms are
+    clearly too late."""
     settings = {"firmware.watchdog": "50ms", "duration": "12s"}
     reason, found = ran(settings, {"at": "5s", "key": "link.command.delay", "value": "24ms"})
     assert reason.startswith("foot slipped")
-    assert found[0].kind == "missed frames" and found[0].time == pytest.approx(5.0, abs=0.002)  # none for 24 ms, once
+    # for 24 ms no command comes, once
+    assert found[0].kind == "missed frames" and found[0].time == pytest.approx(5.0, abs=0.002)
     oscillation, slip = (next(sign for sign in found if sign.kind == kind) for kind in ("oscillation", "slip"))
     assert oscillation.where == "internal force" and oscillation.time < slip.time
     assert oscillation.frequency is not None and 7.5 < oscillation.frequency < 9.5
