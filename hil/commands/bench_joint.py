@@ -203,20 +203,20 @@ class LoadedLaw:
         real: Any = ctypes.c_double if precision == "double" else ctypes.c_float
         fields = [("x", real * len(law.state)), ("u", real * len(law.input)), ("y", real * len(law.outputs))]
         kind = type("joint_law", (ctypes.Structure,), {"_fields_": [*fields, ("p", ctypes.c_void_p)]})
-        self.memory, self.library = kind(), ctypes.CDLL(str(library))
+        self.memory, self.code = kind(), ctypes.CDLL(str(library))
         self.x, self.u, self.y = (np.ctypeslib.as_array(getattr(self.memory, name)) for name, _ in fields)
-        table = (real * len(law.values)).in_dll(self.library, joint)
+        table = (real * len(law.values)).in_dll(self.code, joint)
         self.address = ctypes.c_void_p(ctypes.addressof(self.memory))
-        self.library.joint_law_init(self.address, table)
+        self.code.joint_law_init(self.address, table)
 
     def step(self, counts: np.ndarray) -> None:
         """One step; ``counts`` (int32) as the law's."""
-        self.library.joint_law_step(self.address, ctypes.c_void_p(counts.ctypes.data))
+        self.code.joint_law_step(self.address, ctypes.c_void_p(counts.ctypes.data))
 
 
     def steps(self, counts: np.ndarray, number: int) -> None:
         """``number`` steps on the same ``counts``."""
-        self.library.bench_steps(self.address, ctypes.c_void_p(counts.ctypes.data), 1, number)
+        self.code.bench_steps(self.address, ctypes.c_void_p(counts.ctypes.data), 1, number)
 
 
 @contextmanager
@@ -240,7 +240,7 @@ def law_c_us(law: ExportedLaw, seconds: float) -> tuple[float, float]:
         drive.u[:] = _input_of(law)
         counts = _counts(law)
         addresses = [ctypes.c_void_p(row.ctypes.data) for row in counts]
-        step, memory, steps = drive.library.joint_law_step, drive.address, drive.library.bench_steps
+        step, memory, steps = drive.code.joint_law_step, drive.address, drive.code.bench_steps
 
         def run(rounds: int) -> None:
             for _ in range(rounds // _PATTERN):

@@ -7,7 +7,6 @@ import signal
 import struct
 import subprocess
 import threading
-from collections.abc import Iterator
 from pathlib import Path
 
 import can
@@ -32,18 +31,6 @@ HUME = description.load("hume")
 PATIENT = ("--set", "firmware.watchdog=60s")
 FRICTIONLESS = ("--set", "world.friction_scale=0")
 PERFECT = ("--set", "sensors.noise=0", "--set", "sensors.bias=0")
-
-
-@pytest.fixture
-def lab(tmp_path: Path) -> Iterator[tuple[str, int]]:
-    name = unique("lab")
-    result = hil("bus", "up", name, "--json", state=tmp_path)
-    assert result.returncode == 0, result.stderr
-    pid = json.loads(result.stdout)["pid"]
-    try:
-        yield name, pid
-    finally:
-        hil("bus", "down", name, state=tmp_path)
 
 
 class joint:
