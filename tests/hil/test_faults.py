@@ -136,7 +136,7 @@ def any_value(random: Random, entry: Any) -> str:
     """A valid value of an injectable key, at random."""
     if entry.default == "":
         return f"{random.randrange(0x800):#x} {random.randrange(200)} {random.randint(1, 9)}"
-    bounds = re.fullmatch(r"(\S+) to (\S+?)( \w+)?", entry.range)
+    bounds = re.fullmatch(r"(\S+) to (\S+)(?: (.+))?", entry.range)
     if bounds is None:
         return random.choice(re.split(r", | or ", entry.range))
     low, high, unit = float(bounds[1]), float(bounds[2]), bounds[3] or ""

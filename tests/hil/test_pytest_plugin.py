@@ -37,7 +37,7 @@ def command(*arguments: str) -> subprocess.CompletedProcess[str]:
 def digest(seed: int, **settings: str) -> str:
     options = [f"--set={key}={value}" for key, value in (SHORT | settings).items()]
     with tempfile.TemporaryDirectory() as directory:
-        out = Path(directory) / "run"
+        out = Path(directory) / f"run-{os.getpid()}"
         ran = command("run", "stand", f"--seed={seed}", "--backend=inline", "--json", f"--out={out}", *options)
     return json.loads(ran.stdout)["log_digest"]
 
