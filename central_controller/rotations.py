@@ -27,3 +27,15 @@ def exponential(rotation_vector: ca.SX) -> ca.SX:
     half = rotation_vector / 2
     angle = ca.sqrt(ca.dot(half, half) + 1e-300)  # never 0: sin(angle)/angle is 1 there
     return ca.vertcat(ca.sin(angle) / angle * half, ca.cos(angle))
+
+
+def inverse(quaternion: ca.SX) -> ca.SX:
+    """The opposite rotation."""
+    return ca.vertcat(-quaternion[:3], quaternion[3])
+
+
+def logarithm(quaternion: ca.SX) -> ca.SX:
+    """Rotation vector [rad] (3,), no longer than π, of a unit quaternion: the inverse of ``exponential``."""
+    vector = ca.if_else(quaternion[3] < 0, -quaternion[:3], quaternion[:3])
+    size = ca.sqrt(ca.dot(vector, vector) + 1e-300)  # never 0: atan2(size, 1)/size is 1 there
+    return 2 * ca.atan2(size, ca.fabs(quaternion[3])) / size * vector
