@@ -11,6 +11,7 @@ from filterpy.kalman import KalmanFilter
 from scipy.integrate import solve_ivp
 
 from central_controller.estimation.pendulum_observer import PendulumNoise, PendulumObserver, steady_state, transition
+from hil.estimator_lab.pendulum_trial import motion, observe
 
 HEIGHT, RATE, GRAVITY = 0.85, 1500.0, 9.81
 DT = 1.0 / RATE
@@ -47,58 +48,16 @@ def test_the_gain_is_that_to_which_a_kalman_filter_converges() -> None:
     np.testing.assert_allclose(observer.snapshot(), [gain[0, 0], gain[0, 1], gain[1, 0], gain[1, 1]], rtol=1e-6)
 
 
-def stepping(seconds: float, seed: int, disturbed: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """True [x, y, vx, vy] and feet [x, y] at each tick of a pendulum that steps in place, and what the sensors say.
-
-    A step of 0.32 s reverses the velocity; ``disturbed``: by white acceleration as the noise states it, else by a swing
-    leg's half sine of 0.8 m/s², which the observer does not know.
-    """
-    random = np.random.default_rng(seed)
-    noise, ticks = PendulumNoise(), round(seconds * RATE)
-    truth, feet = np.zeros((ticks, 4)), np.zeros((ticks, 2))
-    A, B = transition(OMEGA, DT)
-    duration = 0.32
-    state, began = np.array([0.0, 0.0, 0.2, 0.3]), 0
-    foot = np.zeros(2)
-    for k in range(ticks):
-        if k % round(duration * RATE) == 0:  # undisturbed, the velocity is the opposite one a step later
-            foot = state[:2] + state[2:] * math.cosh(OMEGA * duration / 2) / (OMEGA * math.sinh(OMEGA * duration / 2))
-            began = k
-        for axis in range(2):
-            push = noise.disturbance * math.sqrt(DT) * random.standard_normal()
-            if not disturbed:
-                push = 0.8 * math.sin(2 * math.pi * (k - began) * DT / duration) * DT
-            state[axis::2] = A @ state[axis::2] + B * foot[axis] + np.array([push * DT / 2, push])
-        truth[k], feet[k] = state, foot
-    deviations = [noise.position, noise.position, noise.velocity, noise.velocity]
-    sensed = truth + deviations * random.standard_normal(truth.shape)
-    return truth, feet, sensed
-
-
-def errors(truth: np.ndarray, feet: np.ndarray, sensed: np.ndarray) -> np.ndarray:
-    observer = PendulumObserver(HEIGHT, RATE, PendulumNoise())
-    observer.reset(*sensed[0])
-    estimates = np.zeros_like(truth)
-    for k, (foot, measured) in enumerate(zip(feet.tolist(), sensed.tolist(), strict=True)):
-        observer.predict(*foot)
-        observer.correct(*measured)
-        estimates[k] = observer.snapshot()
-    return (estimates - truth)[round(0.5 * RATE) :]
-
-
-def test_the_error_is_as_large_as_predicted() -> None:
-    error = errors(*stepping(30.0, seed=3, disturbed=True))
-    position, velocity = PendulumObserver(HEIGHT, RATE, PendulumNoise()).deviation
-    assert np.std(error[:, 2:]) == pytest.approx(velocity, rel=0.1)
-    assert np.std(error[:, :2]) == pytest.approx(position, rel=0.1)
+def test_the_error_is_as_large_as_expected() -> None:
+    errors = observe(motion(3, 30.0, PendulumNoise(), "white"), PendulumNoise())
+    assert errors.velocity == pytest.approx(errors.expected_velocity, rel=0.1)
+    assert errors.position == pytest.approx(errors.expected_position, rel=0.1)
 
 
 def test_velocity_is_several_times_better_than_sensed_though_a_leg_swings() -> None:
-    truth, feet, sensed = stepping(10.0, seed=4, disturbed=False)
-    raw = np.sqrt(np.mean((sensed - truth)[:, 2:] ** 2))
-    rms = np.sqrt(np.mean(errors(truth, feet, sensed)[:, 2:] ** 2))
-    assert raw == pytest.approx(0.05, rel=0.02)
-    assert rms < raw / 3
+    errors = observe(motion(4, 10.0, PendulumNoise(), "swing leg"), PendulumNoise())
+    assert errors.sensed_velocity == pytest.approx(0.05, rel=0.02)
+    assert errors.velocity < errors.sensed_velocity / 3
 
 
 def test_a_moved_origin_moves_the_position_only() -> None:

@@ -1,0 +1,1 @@
+"""Test benches of the estimators: known truth, stated errors, and what each estimator makes of them."""
