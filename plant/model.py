@@ -1,21 +1,23 @@
 """The MuJoCo model of a robot on its terrain, built from the robot's description.
 
-Generalised coordinates: the base's, then the joints in the robot's order. The base is a free joint (position,
-quaternion), or with the planarizer [slider x, z, roll, pitch], all zero at the world's origin, torso upright.
+Generalised coordinates: the base's, then the joints in the robot's order, each shank's bending behind its joint if it
+bends (``coordinates`` says where the joints are). The base is a free joint (position, quaternion), or with the
+planarizer [slider x, z, roll, pitch], all zero at the world's origin, torso upright.
 Rotors, springs and actuator friction are in ``plant.actuators``: a joint takes its torque as applied force.
 """
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
 
 from plant import visuals
-from plant.config import PlanarizerConfig, TerrainConfig
+from plant.config import SHANK_FORK_INERTIA, PlanarizerConfig, TerrainConfig
 from plant.stance import Array, Stance
-from robots.description import Link, Robot
+from robots.description import Foot, Joint, Link, Robot
 
 # Contact, tuned by measurement: feet that carry the robot and are pulled sideways with 0.9 of the
 # friction limit creep by less than 0.1 mm/s and sink in by 0.02 mm (tests/plant/test_contact.py).
@@ -25,6 +27,9 @@ CONTACT_TIME_CONSTANT = 2e-3  # s; MuJoCo needs at least two time steps
 CONTACT_IMPEDANCE = (0.98, 0.98, 1e-3, 0.5, 2.0)
 FRICTION_TO_NORMAL_IMPEDANCE = 100.0
 LIMIT_TIME_CONSTANT = 4e-3  # s, of the mechanical end stops
+
+_FORK_MASS = 1e-3  # kg, between a knee and a shank that bends: MuJoCo moves no body without mass
+_TUBE_DAMPING = 0.02  # of the critical, of a shank held at its top: what carbon fibre in epoxy loses. ASSUMED
 
 _TERRAIN, _FOOT, _TORSO = 1, 2, 4  # collision classes: feet and torso meet the terrain, nothing else
 
@@ -40,9 +45,11 @@ def panel_normals(angle: float) -> Array:
 
 
 def build(
-    robot: Robot, stance: Stance, terrain: TerrainConfig, planarizer: PlanarizerConfig, rate: float
-) -> mujoco.MjModel:
+    robot: Robot, stance: Stance, terrain: TerrainConfig, planarizer: PlanarizerConfig, rate: float,
+    shank_stiffness: float = 0.0,
+) -> mujoco.MjModel:  # fmt: skip
     """Build the model. ``rate``: physics steps per second. The terrain just touches the feet of ``stance``.
+    ``shank_stiffness`` [N m/rad]: of the shanks' bending, see WorldConfig; 0: rigid.
 
     Sensors, in this order in ``sensordata`` (3 numbers each unless said): base (torso frame's origin), com
     and com_velocity (of the robot without slider), feet's centres, contacts (force of the foot on the
@@ -69,24 +76,52 @@ def build(
     # Implicit joint damping would be unknown to the contact solver, which assumes the explicit step:
     # with stiff contacts the feet chatter.
     flag = mujoco.mjtDisableBit
-    option.disableflags = int(
-        flag.mjDSBL_ISLAND | flag.mjDSBL_MIDPHASE | flag.mjDSBL_AUTORESET | flag.mjDSBL_EULERDAMP
-    )
+    option.disableflags = int(flag.mjDSBL_ISLAND | flag.mjDSBL_MIDPHASE | flag.mjDSBL_AUTORESET | flag.mjDSBL_EULERDAMP)
 
     visuals.scene(spec, stance)
     _terrain(spec, robot, stance, terrain)
     torso = _base(spec, robot, planarizer)
-    _legs(spec, robot, torso)
+    _legs(spec, robot, torso, shank_stiffness)
     _sensors(spec, robot)
     return spec.compile()
 
 
-def initial_qpos(model: mujoco.MjModel, stance: Stance) -> Array:
-    """Generalised coordinates (nq,) of ``stance``."""
-    base = [*stance.torso, 1.0, 0.0, 0.0, 0.0]
-    if model.nq - len(stance.joints) == 4:
-        base = [stance.torso[0], stance.torso[2], 0.0, 0.0]
-    return np.array([*base, *stance.joints])
+class Coordinates(NamedTuple):
+    """Where the robot's joints are among the generalised coordinates and velocities: slices if they lie together."""
+
+    positions: Any  # slice, or indices (joints,)
+    velocities: Any
+    base: int  # degrees of freedom of the base, which come first
+
+
+def coordinates(model: mujoco.MjModel, joints: Sequence[str]) -> Coordinates:
+    """Of the ``joints`` by name."""
+    positions, velocities = (
+        np.array([getattr(model.joint(name), what)[0] for name in joints]) for what in ("qposadr", "dofadr")
+    )
+    base = int(velocities[0])
+    if model.nv == base + len(joints):
+        return Coordinates(slice(-len(joints), None), slice(-len(joints), None), base)
+    return Coordinates(positions, velocities, base)
+
+
+def bends(model: mujoco.MjModel, robot: Robot) -> list[str]:
+    """Names of the hinges about which the shanks bend: right then left, sagittal then lateral. None: they are rigid."""
+    joints = {model.joint(i).name for i in range(model.njnt)}
+    names = [f"{foot.joint}_{way}" for foot in robot.feet for way in ("sagittal", "lateral")]
+    return [name for name in names if name in joints]
+
+
+def initial_qpos(model: mujoco.MjModel, robot: Robot, stance: Stance) -> Array:
+    """Generalised coordinates (nq,) of ``stance``, shanks straight."""
+    at = coordinates(model, robot.joint_names)
+    qpos = model.qpos0.copy()
+    if at.base == 4:
+        qpos[:4] = stance.torso[0], stance.torso[2], 0.0, 0.0
+    else:
+        qpos[:7] = *stance.torso, 1.0, 0.0, 0.0, 0.0
+    qpos[at.positions] = stance.joints
+    return qpos
 
 
 def _inertial(body: Any, link: Link) -> None:
@@ -125,17 +160,22 @@ def _base(spec: mujoco.MjSpec, robot: Robot, planarizer: PlanarizerConfig) -> An
     return torso
 
 
-def _legs(spec: mujoco.MjSpec, robot: Robot, torso: Any) -> None:
+def _legs(spec: mujoco.MjSpec, robot: Robot, torso: Any, shank_stiffness: float) -> None:
     bodies = {robot.base.name: torso}
+    shanks = {foot.joint: foot for foot in robot.feet} if shank_stiffness else {}
     for joint in robot.joints:
         body = bodies[joint.parent].add_body(name=joint.name, pos=list(joint.position))
-        bodies[joint.name] = body
-        _inertial(body, joint.link)
         stop = body.add_joint(
             name=joint.name, type=mujoco.mjtJoint.mjJNT_HINGE, axis=list(joint.axis), range=list(joint.limits)
         )
         stop.limited = mujoco.mjtLimited.mjLIMITED_TRUE
         stop.solref_limit = np.array([LIMIT_TIME_CONSTANT, 1.0])
+        if joint.name in shanks:
+            _inertial(body, Link(mass=_FORK_MASS, com=(0.0, 0.0, 0.0), inertia=(1e-6, 1e-6, 1e-6)))
+            stop.armature = SHANK_FORK_INERTIA
+            body = _tube(body, joint, shanks[joint.name], shank_stiffness)
+        bodies[joint.name] = body
+        _inertial(body, joint.link)
         visuals.link(body, robot, joint)
     for foot in robot.feet:
         _collider(bodies[foot.joint].add_geom(
@@ -145,6 +185,21 @@ def _legs(spec: mujoco.MjSpec, robot: Robot, torso: Any) -> None:
     order = [name for body in spec.bodies if (name := body.name) in robot.joint_names]
     if order != list(robot.joint_names):
         raise ValueError(f"joints of {robot.name} are not listed leg by leg from the base outwards")
+
+
+def _tube(fork: Any, joint: Joint, foot: Foot, stiffness: float) -> Any:
+    """The body of a shank that bends at its top, about the axis of its ``joint`` and across it."""
+    tube = fork.add_body(name=f"{joint.name}_tube")
+    along = np.asarray(foot.position)
+    lever = joint.link.inertia[1] + joint.link.mass * float(np.dot(joint.link.com, joint.link.com))
+    sagittal = np.asarray(joint.axis)
+    for name, axis in (("sagittal", sagittal), ("lateral", np.cross(sagittal, along))):
+        hinge = tube.add_joint(
+            name=f"{joint.name}_{name}", type=mujoco.mjtJoint.mjJNT_HINGE, axis=list(axis / np.linalg.norm(axis))
+        )
+        hinge.stiffness[0] = stiffness
+        hinge.damping[0] = 2.0 * _TUBE_DAMPING * np.sqrt(stiffness * lever)
+    return tube
 
 
 def _collider(geom: Any, kind: int) -> None:

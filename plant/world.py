@@ -14,7 +14,7 @@ from plant import stance as stances
 from plant.actuators.bank import ActuatorBank
 from plant.config import PushConfig, SensorConfig, StanceConfig, TerrainConfig, WorldConfig
 from plant.joint_faults import FaultyJoints
-from plant.model import build, initial_qpos
+from plant.model import bends, build, coordinates, initial_qpos
 from plant.sensors import ImuSensor, JointSensors
 from robots import description, pins
 from robots.description import Robot
@@ -57,16 +57,20 @@ class World:
         start = stances.initial(robot, stance)
         if robot.imu is None:
             raise stances.StanceError(f"standing needs an IMU in the torso; {robot.name} has none")
-        self.model = build(robot, start, terrain, config.planarizer, config.rate)
+        self.model = build(robot, start, terrain, config.planarizer, config.rate, config.shank_stiffness)
         self.data = mujoco.MjData(self.model)
         n = len(robot.joints)
         self._n = n
         self._dt = 1.0 / config.rate
-        self.data.qpos[:] = initial_qpos(self.model, start)
+        self.data.qpos[:] = initial_qpos(self.model, robot, start)
         self._start = self.data.qpos.copy()
-        self._base_dofs = self.model.nv - n
-        self._q = self.data.qpos[-n:]  # views: MuJoCo never moves its arrays
-        self._dq = self.data.qvel[-n:]
+        self._at = at = coordinates(self.model, robot.joint_names)
+        self._base_dofs = at.base
+        # views where the joints lie together, for MuJoCo never moves its arrays; else copies, see _follow
+        self._q, self._dq = self.data.qpos[at.positions], self.data.qvel[at.velocities]
+        self._copied = not isinstance(at.positions, slice)
+        self._bends = bends(self.model, robot)
+        self._bend_at = [int(self.model.joint(name).qposadr[0]) for name in self._bends]
         self._applied = self.data.qfrc_applied
         self._torso = self.model.body(robot.base.name).id
         self._push = self.data.xfrc_applied[self._torso]
@@ -128,9 +132,10 @@ class World:
     def step(self) -> None:
         """One physics step."""
         now = self.time
-        self._applied[-self._n :] = self._actuators.step()
+        joints = self._at.velocities
+        self._applied[joints] = self._actuators.step()
         if self.faults.loaded:
-            self._applied[-self._n :] += self.faults.load
+            self._applied[joints] += self.faults.load
         self._hoist_base(self._hoist(now))
         if self._pushes:
             self._push[:3] = self._push_force(now + 0.5 * self._dt)  # mid-step: the impulse is exact
@@ -138,6 +143,8 @@ class World:
         mujoco.mj_step2(self.model, self.data)
         self._steps += 1
         mujoco.mj_step1(self.model, self.data)
+        if self._copied:
+            self._follow()
 
     def imu(self) -> bytes:
         """One sample of the IMU on its wire."""
@@ -164,12 +171,14 @@ class World:
         row[at] = (x * fx + y * fy + z * fz) / math.sqrt(x * x + y * y + z * z)
         row[at + 1 : at + 4] = self._push[:3]
         row[at + 4] = self._hoist(self.time)
-        row[at + 5 :] = self.data.qpos
+        row[at + 5 : at + 5 + self.model.nq] = self.data.qpos
+        if self._bends:
+            row[-len(self._bends) :] = self.data.qpos[self._bend_at]
         return row
 
     def every_step(self) -> list[tuple[list[str], np.ndarray]]:
         """Names and views of what every physics step changes, to be copied after it: what the record of the last
-        seconds before a fall holds. Of a model's generalised coordinates the joints' are the last."""
+        seconds before a fall holds. For the generalised coordinates see plant.model."""
         joints, sensed = self.robot.joint_names, self._sensed
         feet = [foot.name for foot in self.robot.feet]
         states = sorted(
@@ -192,6 +201,11 @@ class World:
         """Whether the torso touches the ground."""
         return bool(self._sensed[36] > 0)
 
+    def _follow(self) -> None:
+        """Copy the joints' coordinates to where actuators and sensors read them."""
+        np.take(self.data.qpos, self._at.positions, out=self._q)
+        np.take(self.data.qvel, self._at.velocities, out=self._dq)
+
     # --- inside -------------------------------------------------------------------------------------------
 
     def _name_truth(self) -> list[str]:
@@ -206,7 +220,7 @@ class World:
         feet = [foot.name for foot in self.robot.feet]
         names += [f"{what}.{foot}.{axis}" for what in ("foot", "contact") for foot in feet for axis in "xyz"]
         names += ["internal_force", "push.x", "push.y", "push.z", "hoist"]
-        return names + [f"qpos.{i}" for i in range(self.model.nq)]
+        return names + [f"qpos.{i}" for i in range(self.model.nq)] + [f"bend.{name}" for name in self._bends]
 
     def _roll_pitch_yaw(self) -> tuple[float, float, float]:
         r = self._rotation.tolist()
@@ -266,6 +280,8 @@ class World:
     def restore(self, state: dict[str, Any]) -> None:
         mujoco.mj_setState(self.model, self.data, state["state"], mujoco.mjtState.mjSTATE_INTEGRATION)
         mujoco.mj_step1(self.model, self.data)
+        if self._copied:
+            self._follow()
         late = self._of_the_step_before
         self._sensed[late] = state["sensed"][late]
         self._steps = state["steps"]

@@ -18,7 +18,7 @@ def pulled(share):
     start = stance.initial(ROBOT, StanceConfig())
     model = build(ROBOT, start, terrain, PlanarizerConfig(), 3000.0)
     data = mujoco.MjData(model)
-    data.qpos[:] = initial_qpos(model, start)
+    data.qpos[:] = initial_qpos(model, ROBOT, start)
     weight = ROBOT.mass * ROBOT.gravity
     reference = data.qpos[-6:].copy()
     feet = [model.geom(foot.name).id for foot in ROBOT.feet]
@@ -53,7 +53,7 @@ def test_a_foot_that_creeps_is_held_as_one_at_rest():
     start = stance.initial(ROBOT, StanceConfig())
     model = build(ROBOT, start, TerrainConfig(), PlanarizerConfig(), 3000.0)
     data = mujoco.MjData(model)
-    data.qpos[:] = initial_qpos(model, start)
+    data.qpos[:] = initial_qpos(model, ROBOT, start)
     reference = data.qpos[-6:].copy()
 
     def step():

@@ -15,7 +15,7 @@ def scene():
     robot = description.load("hume")
     start = stance.initial(robot, StanceConfig())
     model = build(robot, start, TerrainConfig(), PlanarizerConfig(), 3000.0)
-    return model, initial_qpos(model, start)
+    return model, initial_qpos(model, robot, start)
 
 
 def test_missing_opengl_is_one_sentence(monkeypatch):

@@ -94,6 +94,8 @@ class OperatingPoint:
     def __init__(self, scenario: Scenario, at: float, settled: dict[str, Any] | None = None) -> None:
         from plant.stance import StanceError
 
+        if scenario.world.shank_stiffness:
+            raise UserError(f"{scenario.name}: shanks that bend are not linearised; set world.shank_stiffness=0")
         self.scenario, self.at = smooth(scenario), at
         self._stack = contextlib.ExitStack()
         try:

@@ -123,3 +123,8 @@ def test_a_linearisation_in_numbers(nominal):
     assert isinstance(nominal, Linearisation)
     for mode in record["modes"]:
         assert abs(complex(*mode["eigenvalue"])) == pytest.approx(np.exp(mode["growth"] / 1500), rel=1e-9)
+
+
+def test_bending_shanks_are_refused() -> None:
+    with pytest.raises(UserError, match=r"set world\.shank_stiffness=0"):
+        OperatingPoint(load("stand", ["world.shank_stiffness=7000Nm/rad"]), 1.5)
