@@ -18,7 +18,15 @@ from hil.analysis.verdict import VerdictConfig
 from hil.calibration import file as calibration
 from hil.errors import UserError
 from joint_firmware.config import FirmwareConfig
-from plant.config import JointFaults, PushConfig, SensorConfig, StanceConfig, TerrainConfig, WorldConfig
+from plant.config import (
+    SHANK_FORK_INERTIA,
+    JointFaults,
+    PushConfig,
+    SensorConfig,
+    StanceConfig,
+    TerrainConfig,
+    WorldConfig,
+)
 from robots import description
 from robots.quantities import Config, Seconds
 
@@ -241,6 +249,12 @@ def _inconsistencies(scenario: Scenario) -> Iterator[str]:
     for fast, slow in (("world.rate", "firmware.rate"), ("firmware.rate", "firmware.report_rate")):
         if rates[fast] % rates[slow]:
             yield f"{fast} = {rates[fast]:g} Hz: must be a multiple of {slow} ({rates[slow]:g} Hz)"
+    stiffest = SHANK_FORK_INERTIA * scenario.world.rate**2  # beyond, physics' steps are too coarse
+    if scenario.world.shank_stiffness > stiffest:
+        yield (
+            f"world.shank_stiffness = {scenario.world.shank_stiffness:g} N m/rad: expected at most {stiffest:g} N m/rad"
+            f" with world.rate = {scenario.world.rate:g} Hz, or 0 for rigid shanks"
+        )
     period = 1e3 / controller.rate
     for key, value in (("phase", controller.phase), ("compute_time", controller.compute_time)):
         if 1e3 * value >= period:  # one answer is under way at a time

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import math
 from typing import Annotated, Literal
 
-from pydantic import Field, ValidationInfo, field_validator
+from pydantic import Field
 
 from robots.quantities import (
     Config,
@@ -133,12 +132,3 @@ class WorldConfig(Config):
     shank_stiffness: TorquePerRadian = 0.0
     planarizer: PlanarizerConfig = PlanarizerConfig()
     hoist: HoistConfig = HoistConfig()
-
-    @field_validator("shank_stiffness")
-    @classmethod
-    def _steps_follow(cls, stiffness: float, info: ValidationInfo) -> float:
-        rate = info.data.get("rate", math.inf)
-        most = SHANK_FORK_INERTIA * rate**2  # the fork on this spring turns by a radian of its phase per step
-        if stiffness > most:
-            raise ValueError(f"too stiff for {rate:g} physics steps a second: at most {most:g} N m/rad, or 0: rigid")
-        return stiffness

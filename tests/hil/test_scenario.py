@@ -196,6 +196,8 @@ MISTAKES = {
     "world.rate=-1kHz": "world.rate = '-1kHz': expected more than 0 Hz",
     "world.rate=3000.5Hz": "world.rate = 3000.5 Hz: expected a whole number of hertz, at most 1 MHz",
     "world.rate=1kHz": "world.rate = 1000 Hz: must be a multiple of firmware.rate (3000 Hz)",
+    "world.shank_stiffness=9001Nm/rad": "world.shank_stiffness = 9001 N m/rad: expected at most 9000 N m/rad with "
+    "world.rate = 3000 Hz, or 0 for rigid shanks",
     "firmware.report_rate=700Hz": "firmware.rate = 3000 Hz: must be a multiple of firmware.report_rate (700 Hz)",
     "firmware.joints.left_hp.swing.kp=5": "unknown key 'firmware.joints.left_hp'; did you mean "
     "'firmware.joints.left_hip'?",
