@@ -77,3 +77,13 @@ def observe(motion: Motion, noise: PendulumNoise) -> Errors:
     pairs = ((raw[2:], left[2:], velocity), (raw[:2], left[:2], position))
     numbers = [(float(np.sqrt(np.mean(a**2))), float(np.sqrt(np.mean(b**2))), expected) for a, b, expected in pairs]
     return Errors(*numbers[0], *numbers[1])
+
+
+def velocity_off(foot_off: float, noise: PendulumNoise) -> float:
+    """Where the velocity [m/s] of a pendulum at rest settles when the stance foot is taken to be ``foot_off`` [m] ahead
+    of where it is, as when a shank bends."""
+    observer = PendulumObserver(HEIGHT, RATE, noise, GRAVITY)
+    for _ in range(round(2.0 * RATE)):
+        observer.predict(foot_off, 0.0)
+        observer.correct(0.0, 0.0, 0.0, 0.0)
+    return observer.vx

@@ -26,6 +26,7 @@ ORIENTATION = {
     "the foot is taken for flat": (False, 0.0),
     f"foot sensors, ground {1e3 * orientation_trial.SLOPE:g} mrad off level": (True, orientation_trial.SLOPE),
 }
+FOOT_OFF = 0.05  # m (Kim 2018 §6.2)
 
 
 @dataclass(frozen=True)
@@ -37,6 +38,7 @@ class Results:
     feet: dict[str, Comparison]
     orientation: dict[str, orientation_trial.Score]
     pendulum: dict[str, pendulum_trial.Errors]
+    velocity_off: float  # m/s, of the pendulum observer, when the foot is FOOT_OFF from where it is thought
     costs: dict[str, float]
 
 
@@ -54,6 +56,7 @@ def measure(seeds: int, duration: float) -> Results:
             name: pendulum_trial.observe(pendulum_trial.motion(0, 5 * duration, noise, name), noise)
             for name in pendulum_trial.DISTURBANCES
         },
+        pendulum_trial.velocity_off(FOOT_OFF, noise),
         cost.tick_costs(),
     )  # fmt: skip
 
@@ -66,6 +69,7 @@ def as_json(results: Results) -> dict[str, Any]:
         "foot_position": {name: [_plain(score) for score in c.scores] for name, c in results.feet.items()},
         "orientation": {name: _plain(score) for name, score in results.orientation.items()},
         "pendulum": {name: _plain(errors) for name, errors in results.pendulum.items()},
+        "pendulum_velocity_off": results.velocity_off,
         "tick_cost_s": results.costs,
         "tick_limit_s": cost.LIMIT,
     }
@@ -106,6 +110,10 @@ def lines(results: Results) -> Iterator[str]:
             f"({100 * errors.expected_velocity:.2f}) cm/s, position {1e3 * errors.sensed_position:.2f} -> "
             f"{1e3 * errors.position:.2f} ({1e3 * errors.expected_position:.2f}) mm"
         )
+    yield (
+        f"  a foot that is {100 * FOOT_OFF:g} cm from where kinematics has it: velocity off by "
+        f"{1e3 * abs(results.velocity_off):.1f} mm/s"
+    )
     yield ""
     total = sum(results.costs.values())
     yield f"cost of a servo tick: {1e6 * total:.1f} µs of {1e6 * cost.LIMIT:g} µs"

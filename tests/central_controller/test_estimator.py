@@ -9,11 +9,13 @@ import pytest
 
 from central_controller.config import ControllerConfig
 from central_controller.estimator import Hanging, filter_constants, turned, yaw_corrected
-from central_controller.rotations import compose, exponential, rotation_matrix
+from central_controller.rotations import compose, exponential, inverse, logarithm, rotation_matrix
 
 _A, _B, _R, _F, _C = (ca.SX.sym(name, size) for name, size in (("a", 4), ("b", 4), ("r", 3), ("f", 3), ("c", 5)))
 MATRIX = ca.Function("matrix", [_A], [rotation_matrix(_A)])
 COMPOSE = ca.Function("compose", [_A, _B], [compose(_A, _B)])
+INVERSE = ca.Function("inverse", [_A], [inverse(_A)])
+LOGARITHM = ca.Function("logarithm", [_A], [logarithm(_A)])
 EXPONENTIAL = ca.Function("exponential", [_R], [exponential(_R)])
 TURNED = ca.Function("turned", [_A, _R, _F, _C], [turned(_A, _R, _F, _C)])
 CONFIG = ControllerConfig()
@@ -38,6 +40,10 @@ def test_rotations_are_those_of_pinocchio(seed) -> None:
     for size in (0.0, 1e-200, 1e-12, 1e-3, 1.0, 3.0):
         vector = size * rng.uniform(-1, 1, 3)
         assert matrix(EXPONENTIAL(vector)) == pytest.approx(pin.exp3(vector), abs=1e-14)
+        if size < 3.0:  # the shortest vector of a rotation by more than π is another one
+            assert np.array(LOGARITHM(EXPONENTIAL(vector))).ravel() == pytest.approx(vector, abs=1e-14)
+            assert np.array(LOGARITHM(-EXPONENTIAL(vector))).ravel() == pytest.approx(vector, abs=1e-14)
+    assert matrix(INVERSE(quaternion(a))) == pytest.approx(a.T, abs=1e-14)
 
 
 def test_a_product_of_many_rotations_stays_a_rotation() -> None:

@@ -114,3 +114,56 @@ def test_a_step_is_that_of_filterpy_on_the_error_state() -> None:
     np.testing.assert_allclose(ours.bias, bias + change[6:], atol=1e-9)
     np.testing.assert_allclose(ours.covariance, kalman.P, atol=1e-12)
     assert ours.nis == pytest.approx(float(np.squeeze(y @ kalman.SI @ y)), rel=1e-6)
+
+
+def test_a_foot_that_is_not_flat_tells_nothing_of_level() -> None:
+    """Its tilt turns the estimate of the foot, and of the body hardly; one taken for flat takes the body along."""
+    tilted = coefficients(pin.exp3(np.array([0.0, -0.1, 0.0])))  # the base seen from a foot that has pitched by 0.1 rad
+    turned = {}
+    for flat in (False, True):
+        estimator = OrientationFilter(RATE, OrientationNoise())
+        for _ in range(50):
+            estimator.predict(np.zeros(3), flat)
+            estimator.correct(tilted, flat)
+        turned[flat] = [float(np.linalg.norm(pin.log3(matrix(q)))) for q in (estimator.orientation, estimator.foot)]
+    assert turned[False][0] < 1e-3 and turned[False][1] == pytest.approx(0.1, rel=0.01)
+    assert turned[True][0] > 0.01 and turned[True][1] < 0.09
+
+
+def test_the_next_stance_foot_is_where_the_joints_see_it() -> None:
+    rng = np.random.default_rng(5)
+    estimator = OrientationFilter(RATE, OrientationNoise())
+    base, relative = pin.rpy.rpyToMatrix(0.02, -0.01, 0.7), pin.exp3(np.array([0.02, -0.01, 0.3]))
+    estimator.reset(coefficients(base), coefficients(base))
+    for _ in range(20):
+        estimator.predict(np.zeros(3), True)
+        estimator.correct(coefficients(base), True)
+    before = estimator.covariance.copy()
+    assert before[0, 0] != before[3, 3]
+    estimator.stand_on(coefficients(relative))
+    np.testing.assert_allclose(matrix(estimator.foot) @ relative, matrix(estimator.orientation), atol=1e-14)
+    # errors of foot and base are one, up to what the joints do not know: drawn, their covariance is that of the filter
+    errors = rng.multivariate_normal(np.zeros(9), before, 200_000)
+    errors[:, 3:6] = errors[:, :3] + OrientationNoise().kinematics * rng.standard_normal((200_000, 3))
+    np.testing.assert_allclose(estimator.covariance, np.cov(errors.T), atol=0.02 * before.max())
+    yaw = pin.rpy.matrixToRpy(matrix(estimator.foot))[2]
+    np.testing.assert_allclose(matrix(estimator._reference), pin.rpy.rpyToMatrix(0.0, 0.0, yaw), atol=1e-14)
+
+
+def test_a_snapshot_repeats() -> None:
+    rng = np.random.default_rng(6)
+    estimator = OrientationFilter(RATE, OrientationNoise())
+    rates, seen = rng.uniform(-1, 1, (5, 3)), [coefficients(pin.exp3(v)) for v in rng.uniform(-0.1, 0.1, (5, 3))]
+
+    def steps() -> list[np.ndarray]:
+        for rate, relative in zip(rates, seen, strict=True):
+            estimator.predict(rate, True)
+            estimator.correct(relative, True)
+        return estimator.snapshot()
+
+    steps()
+    state = estimator.snapshot()
+    first = steps()
+    estimator.restore(state)
+    for a, b in zip(first, steps(), strict=True):
+        np.testing.assert_array_equal(a, b)

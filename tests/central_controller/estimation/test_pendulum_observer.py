@@ -11,7 +11,7 @@ from filterpy.kalman import KalmanFilter
 from scipy.integrate import solve_ivp
 
 from central_controller.estimation.pendulum_observer import PendulumNoise, PendulumObserver, steady_state, transition
-from hil.estimator_lab.pendulum_trial import motion, observe
+from hil.estimator_lab.pendulum_trial import motion, observe, velocity_off
 
 HEIGHT, RATE, GRAVITY = 0.85, 1500.0, 9.81
 DT = 1.0 / RATE
@@ -58,6 +58,16 @@ def test_velocity_is_several_times_better_than_sensed_though_a_leg_swings() -> N
     errors = observe(motion(4, 10.0, PendulumNoise(), "swing leg"), PendulumNoise())
     assert errors.sensed_velocity == pytest.approx(0.05, rel=0.02)
     assert errors.velocity < errors.sensed_velocity / 3
+
+
+def test_what_a_foot_that_is_elsewhere_does_to_the_velocity() -> None:
+    """The fixed point of e⁺ = (1 − K)(A e + B d) for a foot that is d off."""
+    A, B = transition(OMEGA, DT)
+    gain, _ = steady_state(OMEGA, DT, PendulumNoise())
+    left = np.eye(2) - gain
+    settled = np.linalg.solve(np.eye(2) - left @ A, left @ B * 0.05)
+    assert velocity_off(0.05, PendulumNoise()) == pytest.approx(settled[1], rel=1e-3)
+    assert abs(settled[1]) < 0.005
 
 
 def test_a_moved_origin_moves_the_position_only() -> None:

@@ -9,8 +9,11 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from central_controller.estimation.foot_models import FootNoise
+from central_controller.estimation.chain import Chain
+from central_controller.estimation.foot_extended import ConfigurationFilter
+from central_controller.estimation.foot_models import FootNoise, accelerated
 from central_controller.estimation.foot_position import FILTERS
+from central_controller.estimation.kalman import ExtendedKalmanFilter
 from central_controller.estimation.orientation_ekf import OrientationNoise
 from hil.cli import main
 from hil.estimator_lab import chain_bench, orientation_trial
@@ -60,6 +63,28 @@ def test_with_a_true_model_the_configuration_filter_knows_its_error() -> None:
     found = consistency(nis, freedoms)
     assert found.ratio == pytest.approx(1.0, abs=0.05)
     assert found.within == pytest.approx(0.95, abs=0.02)
+
+
+class Printed(ConfigurationFilter):
+    """With Euler's step, as (6.27) prints it."""
+
+    def __init__(self, chain: Chain, noise: FootNoise) -> None:
+        super().__init__(chain, noise)
+        dt, x = ca.SX.sym("dt"), ca.vertcat(chain.q, chain.dq)
+        f = ca.vertcat(chain.q + chain.dq * dt, chain.dq + chain.acceleration * dt)
+        Q, h = accelerated(noise.acceleration, 2, dt, ca.SX(4, 4)), ca.vertcat(x, chain.position)
+        self._ekf = ExtendedKalmanFilter("printed", x, chain.torque, dt, f, h, Q)
+        self.state, self.covariance = self._ekf.state, self._ekf.covariance
+
+
+def test_the_step_as_printed_is_too_sure_of_itself() -> None:
+    noise, chain = FootNoise(), chain_bench.model(chain_bench.NONE)
+    recordings = [chain_bench.record(seed, 2.0, chain_bench.NONE, noise) for seed in range(2)]
+    ratios = [
+        np.mean([run(filter, recording).nees[50:] for recording in recordings]) / 4
+        for filter in (Printed(chain, noise), ConfigurationFilter(chain, noise))
+    ]
+    assert ratios[0] > 2.0 > 1.5 > ratios[1]
 
 
 def test_foot_sensors_keep_a_rocking_foot_from_turning_the_body() -> None:
