@@ -40,9 +40,10 @@ def panel_normals(angle: float) -> Array:
 
 
 def build(
-    robot: Robot, stance: Stance, terrain: TerrainConfig, planarizer: PlanarizerConfig, rate: float
+    robot: Robot, stance: Stance, terrain: TerrainConfig, planarizer: PlanarizerConfig, rate: float, leds: bool = False
 ) -> mujoco.MjModel:
     """Build the model. ``rate``: physics steps per second. The terrain just touches the feet of ``stance``.
+    ``leds``: whether it carries the motion capture's, as sites.
 
     Sensors, in this order in ``sensordata`` (3 numbers each unless said): base (torso frame's origin), com
     and com_velocity (of the robot without slider), feet's centres, contacts (force of the foot on the
@@ -77,6 +78,8 @@ def build(
     _terrain(spec, robot, stance, terrain)
     torso = _base(spec, robot, planarizer)
     _legs(spec, robot, torso)
+    if leds and robot.motion_capture is not None:
+        visuals.leds(spec, robot.motion_capture)
     _sensors(spec, robot)
     return spec.compile()
 
