@@ -51,7 +51,7 @@ class MotionCaptureFilterConfig(Config):
     trust: Annotated[float, Field(gt=0)] = 2.0  # λ of (E.4), m²: of what is integrated against what is seen
     bias_gain: Gain = 1.0  # 1/s, from the turn that frames bring to the gyro's bias; 0: none, as in the source
     delay_compensated: bool = True  # false: frames are taken for what is seen when they arrive
-    gate: Annotated[Metres, Field(gt=0)] = 0.01  # error of a distance between two LEDs from which a frame is refused
+    gate: Annotated[Metres, Field(gt=0)] = 0.01  # error of a distance between two LEDs from which one is not believed
 
 
 class ControllerConfig(Config):

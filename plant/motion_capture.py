@@ -84,7 +84,7 @@ class MotionCaptureSystem:
             self._hidden = [False] * len(self._hidden)
             return
         exposures = max(self._values["occlusion_time"] * self._description.rate, 1.0)
-        leave = min(1.0 / exposures, (1.0 - share) / share)  # a great share in short pieces: hidden again at once
+        leave = min(1.0 / exposures, 1.0 - share)  # pieces are not shorter than where each exposure is by itself
         enter = leave * share / (1.0 - share) if share < 1.0 else 1.0
         for i, hidden in enumerate(self._hidden):
             change = leave if hidden else enter

@@ -70,34 +70,50 @@ def affine_fit(pattern: ca.SX, positions: ca.SX, weights: ca.SX, prior: ca.SX, t
     return (dy @ dz.T + trust * prior) @ ca.inv_minor(dz @ dz.T + trust * ca.SX.eye(3)), z, y
 
 
-def correct(pattern: np.ndarray, body: list[int]) -> ca.Function:
-    """One frame. Inputs: positions of the LEDs (3, n) [m], weights (n; 1: seen, and of those in ``body``), what was
-    integrated at the sample before the exposure (4), rate from there on (3), time from there [s], correction (4), bias
-    (3), trust: λ [m²], gain of the bias [1/s]. Outputs: correction_next, bias_next, position of the torso at the
-    exposure (3), distortion [m] (the greatest error of a distance between two LEDs), determinant of A."""
+def without_the_worst(pattern: np.ndarray, positions: ca.SX, weights: ca.SX, gate: ca.SX) -> tuple[ca.SX, ca.SX]:
+    """``weights`` (n) less that of one point whose distances are not those of ``pattern`` (3, n), and the greatest error
+    of a distance [m] that is left. Distances tell it whatever the orientation is."""
+    n = pattern.shape[1]
+    errors = ca.SX.zeros(n, n)
+    for i, j in itertools.combinations(range(n), 2):
+        distance = ca.norm_2(positions[:, i] - positions[:, j])
+        errors[i, j] = errors[j, i] = ca.fabs(distance - float(np.linalg.norm(pattern[:, i] - pattern[:, j])))
+    wrong = ca.sum1((weights @ weights.T) * errors > gate).T  # how many of each point's distances are
+    most = ca.mmax(wrong)
+    weights = weights * ca.logic_or(most == 0, wrong < most)
+    return weights, ca.mmax((weights @ weights.T) * errors)
+
+
+def correct(pattern: np.ndarray) -> ca.Function:
+    """One frame of the LEDs at ``pattern`` (3, n) in the base's frame.
+
+    Inputs: positions (3, n) [m], weights (n; 1: seen), what was integrated at the sample before the exposure (4), rate
+    from there on (3), time from there [s], correction (4), bias (3), trust: λ [m²], gain of the bias [1/s], gate [m].
+    Outputs: correction_next, bias_next, position of the torso at the exposure (3), used (n; 1: has gone in), distortion
+    [m] (the greatest error of a distance between two of those), determinant of A.
+    """
     n = pattern.shape[1]
     positions, weights = ca.SX.sym("positions", 3, n), ca.SX.sym("weights", n)
     integrated, rate, since = ca.SX.sym("integrated", 4), ca.SX.sym("rate", 3), ca.SX.sym("since")
     correction, bias = ca.SX.sym("correction", 4), ca.SX.sym("bias", 3)
-    trust, bias_gain = ca.SX.sym("trust"), ca.SX.sym("bias_gain")
+    trust, bias_gain, gate = ca.SX.sym("trust"), ca.SX.sym("bias_gain"), ca.SX.sym("gate")
     exposed = compose(integrated, exponential(rate * since))
     prior = compose(correction, exposed)
-    affine, z, y = affine_fit(ca.SX(pattern), positions, weights, rotation_matrix(prior), trust)
+    used, distortion = without_the_worst(pattern, positions, weights, gate)
+    affine, z, y = affine_fit(ca.SX(pattern), positions, used, rotation_matrix(prior), trust)
     rotation = nearest_rotation(affine)
     quaternion = quaternion_of(rotation)
     turn = logarithm(compose(inverse(prior), quaternion))  # in the base's frame
-    errors = []
-    for i, j in itertools.combinations(body, 2):
-        error = ca.norm_2(positions[:, i] - positions[:, j]) - float(np.linalg.norm(pattern[:, i] - pattern[:, j]))
-        errors.append(weights[i] * weights[j] * ca.fabs(error))
-    distortion = ca.mmax(ca.vertcat(*errors))
     return ca.Function(
         "motion_capture_correct",
-        [positions, weights, integrated, rate, since, correction, bias, trust, bias_gain],
-        [compose(quaternion, inverse(exposed)), bias - bias_gain * turn, y - rotation @ z, distortion, ca.det(affine)],
-        ["positions", "weights", "integrated", "rate", "since", "correction", "bias", "trust", "bias_gain"],
-        ["correction_next", "bias_next", "position", "distortion", "determinant"],
-    )
+        [positions, weights, integrated, rate, since, correction, bias, trust, bias_gain, gate],
+        [
+            compose(quaternion, inverse(exposed)), bias - bias_gain * turn, y - rotation @ z, used, distortion,
+            ca.det(affine),
+        ],
+        ["positions", "weights", "integrated", "rate", "since", "correction", "bias", "trust", "bias_gain", "gate"],
+        ["correction_next", "bias_next", "position", "used", "distortion", "determinant"],
+    )  # fmt: skip
 
 
 def _identity(function: ca.Function) -> ca.Function:
@@ -123,22 +139,18 @@ class MotionCaptureOrientation:
         if robot.motion_capture is None:
             raise ValueError(f"{robot.name} has no LEDs for motion capture")
         leds = robot.motion_capture.leds
-        body = [i for i, led in enumerate(leds) if led.link == robot.base.name]
-        if len(body) < 3:
-            raise ValueError(f"{robot.name} has {len(body)} LEDs on {robot.base.name}: its orientation needs 3")
+        self._body = np.array([i for i, led in enumerate(leds) if led.link == robot.base.name])
+        n = len(self._body)
+        if n < 3:
+            raise ValueError(f"{robot.name} has {n} LEDs on {robot.base.name}: its orientation needs 3")
         self._config = config
-        n = len(leds)
-        pattern = np.zeros((3, n))
-        for i in body:
-            pattern[:, i] = leds[i].position
-        self._on_body = np.array([float(i in body) for i in range(n)])
 
         self.quaternion, self.rate, self.bias = np.array([0.0, 0.0, 0.0, 1.0]), np.zeros(3), np.zeros(3)
         self.torso, self.torso_ns = np.zeros(3), -1
-        self.leds, self.leds_ns = np.zeros((n, 3)), [-1] * n
+        self.leds, self.leds_ns = np.zeros((len(leds), 3)), [-1] * len(leds)
         self.used = 0  # frames that have corrected the orientation
         self.late = 0  # frames older than one that was used, or than what is kept
-        self.refused = 0  # frames of another clock, or whose LEDs are not where the pattern lets them be
+        self.refused = 0  # frames of another clock, or with more than one LED where it cannot be
 
         self._integrated, self._after = self.quaternion.copy(), np.zeros(4)
         self._correction, self._correction_next = self.quaternion.copy(), np.zeros(4)
@@ -146,7 +158,7 @@ class MotionCaptureOrientation:
         self._mean, self._bias_next, self._position = np.zeros(3), np.zeros(3), np.zeros(3)
         self._positions, self._weights = np.zeros((3, n), order="F"), np.zeros(n)
         self._exposed, self._exposed_rate, self._since = np.zeros(4), np.zeros(3), np.zeros(1)
-        self._trust, self._bias_gain = np.zeros(1), np.zeros(1)
+        self._trust, self._bias_gain, self._gone_in = np.zeros(1), np.zeros(1), np.zeros(n)
         self._distortion, self._determinant = np.zeros(1), np.zeros(1)
         # the samples kept, in a ring: time, what was integrated by then, and at which rate to there
         self._times = [-1] * _KEPT
@@ -163,15 +175,15 @@ class MotionCaptureOrientation:
             },
         )  # fmt: skip
         self._correct = Bound(
-            compile(correct(pattern, body)),
+            compile(correct(np.array([leds[i].position for i in self._body]).T)),
             {
                 "positions": self._positions, "weights": self._weights, "integrated": self._exposed,
                 "rate": self._exposed_rate, "since": self._since, "correction": self._correction, "bias": self.bias,
-                "trust": self._trust, "bias_gain": self._bias_gain,
+                "trust": self._trust, "bias_gain": self._bias_gain, "gate": np.array([config.gate]),
             },
             {
                 "correction_next": self._correction_next, "bias_next": self._bias_next, "position": self._position,
-                "distortion": self._distortion, "determinant": self._determinant,
+                "used": self._gone_in, "distortion": self._distortion, "determinant": self._determinant,
             },
         )  # fmt: skip
 
@@ -212,8 +224,8 @@ class MotionCaptureOrientation:
         if exposure_ns <= self.torso_ns or not self._look_up(exposure_ns):
             self.late += 1
             return
-        np.multiply(frame.seen, self._on_body, out=self._weights)
-        self._positions.T[:] = frame.positions
+        np.take(frame.seen, self._body, out=self._weights)
+        np.take(frame.positions, self._body, axis=0, out=self._positions.T)
         self._trust[0] = trust = min(self._config.trust, (self.used + 1) * _FIRST_TRUST)
         self._bias_gain[0] = self._config.bias_gain if trust == self._config.trust else 0.0
         self._correct()
@@ -223,7 +235,7 @@ class MotionCaptureOrientation:
         for i in np.flatnonzero(frame.seen).tolist():
             self.leds[i] = frame.positions[i]
             self.leds_ns[i] = frame.exposure_ns
-        if self._weights.any():
+        if self._gone_in.any():
             self.used += 1
             self.torso[:], self.torso_ns = self._position, exposure_ns
             self._correction[:], self.bias[:] = self._correction_next, self._bias_next
