@@ -16,7 +16,7 @@ from central_controller.behaviours import BEHAVIOURS
 from central_controller.behaviours.behaviour import Behaviour, Phase, Workspace
 from central_controller.binding import Bound
 from central_controller.config import ControllerConfig
-from central_controller.estimation.motion_capture import MotionCaptureOrientation
+from central_controller.estimation.motion_capture import FIELDS, MotionCaptureOrientation
 from central_controller.estimator import Hanging, filter_constants
 from central_controller.law import ORIENTATION, estimate, predict
 from central_controller.model import RobotModel
@@ -46,7 +46,8 @@ _NODE_FIELDS = ("state_age", "phase", "missed_states", "malformed")  # not of th
 
 def telemetry_fields(robot: Robot, config: ControllerConfig) -> list[str]:
     """Names of the controller's telemetry, in order."""
-    return [*BEHAVIOURS[config.behaviour].fields(robot), *_NODE_FIELDS]
+    orientation = FIELDS if config.orientation == "motion_capture" else ()
+    return [*BEHAVIOURS[config.behaviour].fields(robot), *orientation, *_NODE_FIELDS]
 
 
 def _identity(function: ca.Function) -> ca.Function:
@@ -83,7 +84,7 @@ class Controller:
         self._behaviour: Behaviour = BEHAVIOURS[config.behaviour](space, compile)
         self._memory = self._behaviour.memory
         self._memory[ORIENTATION] = self._hanging.quaternion
-        self.telemetry = np.zeros(len(self._behaviour.telemetry) + len(_NODE_FIELDS))
+        self.telemetry = np.zeros(len(telemetry_fields(robot, config)))
         self._predict = Bound(
             compile(predict(n)),
             {
@@ -157,6 +158,7 @@ class Controller:
             self._missed += self._fresh.count(False)
         self._fresh = [False] * self._n
         if not self._imu_seen or b"" in self._states:
+            self._frames.clear()
             return self._answer(now_ns, [Setpoint(state_counter=counter) for counter in self._counters])
         fields = self._unpack_states(b"".join(self._states))
         words, positions = fields[_WORD::_FIELDS], fields[_POSITION::_FIELDS]
@@ -189,6 +191,7 @@ class Controller:
         orientation.take_imu(space.gyro, now_ns - self._phase_ns)  # sampled so long before the tick
         for frame in self._frames:
             orientation.take_frame(frame)
+        orientation.tell()
         space.q[3:7], space.v[3:6] = orientation.quaternion, orientation.rate
 
     def _advance(self, words: tuple[int, ...], now_ns: int) -> None:
@@ -232,7 +235,10 @@ class Controller:
 
     def _answer(self, now_ns: int, setpoints: list[Setpoint]) -> list[tuple[int, int, bytes]]:
         self._counter = counter = (self._counter + 1) & 0xFFFF
-        self.telemetry[: -len(_NODE_FIELDS)] = self._behaviour.telemetry
+        behaviour = self._behaviour.telemetry
+        self.telemetry[: len(behaviour)] = behaviour
+        if self._orientation is not None:
+            self.telemetry[len(behaviour) : -len(_NODE_FIELDS)] = self._orientation.telemetry
         self.telemetry[-len(_NODE_FIELDS) :] = (now_ns - min(self._arrivals)) * 1e-9, self._phase, self._missed, self._malformed
         return [
             (bus, messages.COMMAND, messages.encode_command(counter, [setpoints[joint] for joint in joints]))

@@ -58,8 +58,8 @@ def decode(payload: bytes, system: MotionCapture) -> Frame:
         raise MalformedFrameError(f"a frame of version {version}, not {VERSION}")
     if leds != n or mask >> n:
         raise MalformedFrameError(f"{leds} LEDs, seen {mask:#x}: there are {n}")
-    seen = np.array([mask >> i & 1 for i in range(n)], float)
+    seen = np.unpackbits(np.frombuffer(payload, np.uint8, 2, 2), count=n, bitorder="little").astype(float)
     counts = np.frombuffer(payload, "<i4", 3 * n, _HEADER.size).reshape(n, 3)
-    if counts[seen == 0].any():
+    if mask + 1 != 1 << n and counts[seen == 0].any():
         raise MalformedFrameError("a position of an LED that was not seen")
     return Frame(exposure_ns, number, seen, counts * system.resolution)

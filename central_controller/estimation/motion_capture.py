@@ -44,6 +44,10 @@ _FIRST_TRUST = 0.01  # m²: λ of the first frame; it grows by that with each up
 _LEAST_DETERMINANT = 0.1  # of A: a rotation's is 1, a reflection's −1
 
 
+# What it tells of itself, beside the orientation.
+FIELDS = ("gyro_bias.x", "gyro_bias.y", "gyro_bias.z", "frames_used", "frames_late", "frames_refused")
+
+
 def advance() -> ca.Function:
     """One sample of the gyro. Inputs: integrated (4), correction (4), gyro now and before (3), bias (3) [rad/s],
     length [s]. Outputs: integrated_next, mean rate over the sample (3), rate now (3), quaternion."""
@@ -71,8 +75,8 @@ def affine_fit(pattern: ca.SX, positions: ca.SX, weights: ca.SX, prior: ca.SX, t
 
 
 def without_the_worst(pattern: np.ndarray, positions: ca.SX, weights: ca.SX, gate: ca.SX) -> tuple[ca.SX, ca.SX]:
-    """``weights`` (n) less that of one point whose distances are not those of ``pattern`` (3, n), and the greatest error
-    of a distance [m] that is left. Distances tell it whatever the orientation is."""
+    """``weights`` (n) without one point whose distances are not those of ``pattern`` (3, n), and the greatest error of
+    a distance [m] that is left. Distances tell it whatever the orientation is."""
     n = pattern.shape[1]
     errors = ca.SX.zeros(n, n)
     for i, j in itertools.combinations(range(n), 2):
@@ -89,8 +93,8 @@ def correct(pattern: np.ndarray) -> ca.Function:
 
     Inputs: positions (3, n) [m], weights (n; 1: seen), what was integrated at the sample before the exposure (4), rate
     from there on (3), time from there [s], correction (4), bias (3), trust: λ [m²], gain of the bias [1/s], gate [m].
-    Outputs: correction_next, bias_next, position of the torso at the exposure (3), used (n; 1: has gone in), distortion
-    [m] (the greatest error of a distance between two of those), determinant of A.
+    Outputs: correction_next, bias_next, position of the torso at the exposure (3), count of LEDs that have gone in,
+    distortion [m] (the greatest error of a distance between two of those), determinant of A.
     """
     n = pattern.shape[1]
     positions, weights = ca.SX.sym("positions", 3, n), ca.SX.sym("weights", n)
@@ -108,11 +112,11 @@ def correct(pattern: np.ndarray) -> ca.Function:
         "motion_capture_correct",
         [positions, weights, integrated, rate, since, correction, bias, trust, bias_gain, gate],
         [
-            compose(quaternion, inverse(exposed)), bias - bias_gain * turn, y - rotation @ z, used, distortion,
-            ca.det(affine),
+            compose(quaternion, inverse(exposed)), bias - bias_gain * turn, y - rotation @ z,
+            ca.sum1(used), distortion, ca.det(affine),
         ],
         ["positions", "weights", "integrated", "rate", "since", "correction", "bias", "trust", "bias_gain", "gate"],
-        ["correction_next", "bias_next", "position", "used", "distortion", "determinant"],
+        ["correction_next", "bias_next", "position", "count", "distortion", "determinant"],
     )  # fmt: skip
 
 
@@ -148,6 +152,7 @@ class MotionCaptureOrientation:
         self.quaternion, self.rate, self.bias = np.array([0.0, 0.0, 0.0, 1.0]), np.zeros(3), np.zeros(3)
         self.torso, self.torso_ns = np.zeros(3), -1
         self.leds, self.leds_ns = np.zeros((len(leds), 3)), [-1] * len(leds)
+        self.telemetry = np.zeros(len(FIELDS))
         self.used = 0  # frames that have corrected the orientation
         self.late = 0  # frames older than one that was used, or than what is kept
         self.refused = 0  # frames of another clock, or with more than one LED where it cannot be
@@ -158,7 +163,7 @@ class MotionCaptureOrientation:
         self._mean, self._bias_next, self._position = np.zeros(3), np.zeros(3), np.zeros(3)
         self._positions, self._weights = np.zeros((3, n), order="F"), np.zeros(n)
         self._exposed, self._exposed_rate, self._since = np.zeros(4), np.zeros(3), np.zeros(1)
-        self._trust, self._bias_gain, self._gone_in = np.zeros(1), np.zeros(1), np.zeros(n)
+        self._trust, self._bias_gain, self._count = np.zeros(1), np.zeros(1), np.zeros(1)
         self._distortion, self._determinant = np.zeros(1), np.zeros(1)
         # the samples kept, in a ring: time, what was integrated by then, and at which rate to there
         self._times = [-1] * _KEPT
@@ -183,7 +188,7 @@ class MotionCaptureOrientation:
             },
             {
                 "correction_next": self._correction_next, "bias_next": self._bias_next, "position": self._position,
-                "used": self._gone_in, "distortion": self._distortion, "determinant": self._determinant,
+                "count": self._count, "distortion": self._distortion, "determinant": self._determinant,
             },
         )  # fmt: skip
 
@@ -224,8 +229,8 @@ class MotionCaptureOrientation:
         if exposure_ns <= self.torso_ns or not self._look_up(exposure_ns):
             self.late += 1
             return
-        np.take(frame.seen, self._body, out=self._weights)
-        np.take(frame.positions, self._body, axis=0, out=self._positions.T)
+        self._weights[:] = frame.seen[self._body]
+        self._positions.T[:] = frame.positions[self._body]
         self._trust[0] = trust = min(self._config.trust, (self.used + 1) * _FIRST_TRUST)
         self._bias_gain[0] = self._config.bias_gain if trust == self._config.trust else 0.0
         self._correct()
@@ -235,12 +240,17 @@ class MotionCaptureOrientation:
         for i in np.flatnonzero(frame.seen).tolist():
             self.leds[i] = frame.positions[i]
             self.leds_ns[i] = frame.exposure_ns
-        if self._gone_in.any():
+        if self._count[0]:
             self.used += 1
             self.torso[:], self.torso_ns = self._position, exposure_ns
             self._correction[:], self.bias[:] = self._correction_next, self._bias_next
             self._length[0] = 0.0
             self._advance()  # the orientation now
+
+    def tell(self) -> None:
+        """Fill ``telemetry``, which has the meanings of FIELDS."""
+        self.telemetry[:3] = self.bias
+        self.telemetry[3:] = self.used, self.late, self.refused
 
     def _look_up(self, exposure_ns: int) -> bool:
         """Find what was integrated by the exposure. False when that is no longer kept."""
@@ -260,7 +270,7 @@ class MotionCaptureOrientation:
     _LISTS = ("leds_ns", "_times")
     _ARRAYS = (
         "quaternion", "rate", "bias", "torso", "leds", "_integrated", "_correction", "_gyro", "_before", "_history",
-        "_rates",
+        "_rates", "telemetry",
     )  # fmt: skip  # all else is computed anew
 
     def snapshot(self) -> dict[str, Any]:

@@ -43,6 +43,10 @@ def test_rough_runs_have_one_digest_on_both_backends() -> None:
     assert inline.stable, inline.reason
     counts = inline.record["deliveries"]["link.motion_capture"]
     assert counts["sent"] == 624 and counts["lost"] > 30 and counts["corrupted"] > 30
+    told = inline.tables["controller"]
+    late, refused, used = (told[f"frames_{what}"][-1] for what in ("late", "refused", "used"))
+    assert late > 0 and refused > 0 and used + late + refused + inline.metrics["malformed"] < counts["sent"]
+    assert np.abs(told["gyro_bias.x"][-1]) < np.radians(1.0)
     assert inline.metrics["malformed"] > 0  # a flipped bit in the header, or in a position that was not seen
     assert result(ROUGH, backend="processes").digest == inline.digest
     assert result(ROUGH, seed=3).digest != inline.digest
