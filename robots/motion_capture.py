@@ -18,7 +18,6 @@ from robots.description import MotionCapture
 VERSION = 1
 _HEADER = struct.Struct("<BBHIq")
 _LED_BYTES = 12
-_LIMIT = 2**31 - 1  # counts
 
 
 class MalformedFrameError(ValueError):
@@ -44,7 +43,7 @@ def encode(frame: Frame, system: MotionCapture) -> bytes:
     seen = frame.seen > 0
     mask = sum(1 << i for i in np.flatnonzero(seen).tolist())
     header = _HEADER.pack(VERSION, len(seen), mask, frame.number & 0xFFFFFFFF, frame.exposure_ns)
-    counts = np.clip(np.rint(frame.positions / system.resolution), -_LIMIT, _LIMIT) * seen[:, None]
+    counts = np.clip(np.rint(frame.positions / system.resolution), -(2**31), 2**31 - 1) * seen[:, None]
     return header + counts.astype("<i4").tobytes()
 
 
