@@ -132,8 +132,16 @@ class BusConfig(Impairment):
     node: dict[str, NodeFaults] = Field(default_factory=dict)
 
 
+class MotionCaptureLink(Impairment):
+    """From the motion capture system, whose cameras and computers take about 5 ms (Kim 2018 §7.2.1)."""
+
+    delay: Seconds = Field(default=5e-3, description="from the exposure to the delivery")
+
+
 class LinkConfig(Config):
-    """The Zenoh link between gateway and central controller, one set of impairments per direction."""
+    """The Zenoh link between gateway and central controller, one set of impairments per direction, and what the motion
+    capture system sends to the controller."""
 
     state: Impairment = Impairment()  # joints and IMU to controller
     command: Impairment = Impairment()  # controller to joints
+    motion_capture: MotionCaptureLink = MotionCaptureLink()

@@ -6,7 +6,7 @@ A bundle carries all that arrived since the last tick, or the commands and telem
 little-endian::
 
     u16 magic 0x4C48  u8 version  u8 0  u32 sequence  i64 time (ns)  u16 items  u16 values
-    items:  i64 arrival (ns)  u32 CAN identifier  u8 source (bus, or 255: IMU)  u8 length  data
+    items:  i64 arrival (ns)  u32 CAN identifier  u8 source (bus; 255: IMU; 254: motion capture)  u8 length  data
     values: f64 each
 """
 
@@ -19,11 +19,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 MAGIC = 0x4C48
-VERSION = 1
+VERSION = 2
 IMU_SOURCE = 255
+MOTION_CAPTURE_SOURCE = 254
 _HEADER = struct.Struct("<HBBIqHH")
 _ITEM = struct.Struct("<qIBB")
-_LONGEST = 64  # bytes of data in an item
 
 Item = tuple[int, int, int, bytes]  # arrival in ns, source, CAN identifier, data
 
@@ -115,7 +115,7 @@ def decode_bundle(payload: bytes) -> Bundle:
             raise MalformedBundleError("the payload ends within an item")
         arrival, can_id, source, length = unpack(payload, at)
         at += size + length
-        if length > _LONGEST or at > end:
+        if at > end:
             raise MalformedBundleError(f"an item of {length} bytes does not fit")
         items.append((arrival, source, can_id, payload[at - length : at]))
     if at + 8 * doubles != end:

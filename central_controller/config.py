@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Annotated, Literal
+
+from pydantic import Field
 
 from robots.quantities import Config, Gain, Hertz, Metres, Newtons, Seconds
 
@@ -43,6 +45,15 @@ class PathConfig(Config):
     start: Seconds = 2.5  # from the start of the run
 
 
+class MotionCaptureFilterConfig(Config):
+    """Orientation from motion capture and gyro (Kim 2018, Appendix E)."""
+
+    trust: Annotated[float, Field(gt=0)] = 2.0  # λ of (E.4), m²: of what is integrated against what is seen
+    bias_gain: Gain = 1.0  # 1/s, from the turn that frames bring to the gyro's bias; 0: none, as in the source
+    delay_compensated: bool = True  # false: frames are taken for what is seen when they arrive
+    gate: Annotated[Metres, Field(gt=0)] = 0.01  # error of a distance between two LEDs from which one is not believed
+
+
 class ControllerConfig(Config):
     """The central controller: timing, model, tasks."""
 
@@ -53,6 +64,8 @@ class ControllerConfig(Config):
     variant: str | None = None  # masses of the controller's model, if not the robot's description
     velocity_cutoff: Hertz = 60.0  # of joint velocities
     orientation_time_constant: Seconds = 2.0  # of the accelerometer's correction of the integrated gyro
+    orientation: Literal["complementary", "motion_capture"] = "complementary"  # the filter that tells it
+    motion_capture: MotionCaptureFilterConfig = MotionCaptureFilterConfig()
     stand_at: Seconds = 0.6  # the robot hangs still until then, its joints held by the drives
     weight_ramp: Seconds = 0.2  # torques grow from nothing over this time
     tasks: TaskSetConfig = TaskSetConfig()

@@ -16,13 +16,15 @@ from central_controller.behaviours import BEHAVIOURS
 from central_controller.behaviours.behaviour import Behaviour, Phase, Workspace
 from central_controller.binding import Bound
 from central_controller.config import ControllerConfig
+from central_controller.estimation.motion_capture import FIELDS, MotionCaptureOrientation
 from central_controller.estimator import Hanging, filter_constants
 from central_controller.law import ORIENTATION, estimate, predict
 from central_controller.model import RobotModel
-from robots import imu
+from robots import imu, motion_capture
 from robots.description import Robot
 
 IMU_SOURCE = 255
+MOTION_CAPTURE_SOURCE = 254
 _FIELDS = len(State._fields)
 _WORD, _POSITION, _VELOCITY, _TORQUE = map(State._fields.index, ("statusword", "position", "velocity", "torque"))
 _RESYNC_NS = 50_000_000  # older states than the one known are ignored for no longer than this
@@ -44,7 +46,8 @@ _NODE_FIELDS = ("state_age", "phase", "missed_states", "malformed")  # not of th
 
 def telemetry_fields(robot: Robot, config: ControllerConfig) -> list[str]:
     """Names of the controller's telemetry, in order."""
-    return [*BEHAVIOURS[config.behaviour].fields(robot), *_NODE_FIELDS]
+    orientation = FIELDS if config.orientation == "motion_capture" else ()
+    return [*BEHAVIOURS[config.behaviour].fields(robot), *orientation, *_NODE_FIELDS]
 
 
 def _identity(function: ca.Function) -> ca.Function:
@@ -52,7 +55,7 @@ def _identity(function: ca.Function) -> ca.Function:
 
 
 class Controller:
-    """The node: drive states and the IMU in, what ``config.behaviour`` makes of them out."""
+    """The node: drive states, the IMU and motion capture in, what ``config.behaviour`` makes of them out."""
 
     def __init__(
         self,
@@ -81,7 +84,7 @@ class Controller:
         self._behaviour: Behaviour = BEHAVIOURS[config.behaviour](space, compile)
         self._memory = self._behaviour.memory
         self._memory[ORIENTATION] = self._hanging.quaternion
-        self.telemetry = np.zeros(len(self._behaviour.telemetry) + len(_NODE_FIELDS))
+        self.telemetry = np.zeros(len(telemetry_fields(robot, config)))
         self._predict = Bound(
             compile(predict(n)),
             {
@@ -90,6 +93,12 @@ class Controller:
             },
             {"q": space.q, "v": space.v},
         )  # fmt: skip
+        self._cameras = robot.motion_capture
+        self._frames: list[motion_capture.Frame] = []  # since the last tick
+        self._orientation: MotionCaptureOrientation | None = None  # None: that of ``predict``
+        if config.orientation == "motion_capture":
+            self._orientation = MotionCaptureOrientation(robot, config.motion_capture, compile)
+        self._phase_ns = round(config.phase * 1e9)
         self._hold: tuple[int, ...] = (0,) * n  # counts: where the joints were at first
         self._unpack_states = struct.Struct("<" + messages.STATE_LAYOUT * n).unpack
         self._pack_counts = struct.Struct(f"{3 * n}d").pack_into
@@ -108,7 +117,8 @@ class Controller:
     # --- measurements ---------------------------------------------------------------------------------------------
 
     def receive(self, arrival_ns: int, source: int, can_id: int, data: bytes) -> None:
-        """Take one measurement: a drive's frame of bus ``source``, or the IMU's sample. Malformed ones are counted."""
+        """Take one measurement: a drive's frame of bus ``source``, the IMU's sample or a frame of motion capture.
+        Malformed ones are counted."""
         if source == IMU_SOURCE:
             try:
                 self._space.gyro[:], self._space.force[:] = imu.decode(data, self._imu)
@@ -116,6 +126,13 @@ class Controller:
                 self._malformed += 1
             else:
                 self._imu_seen = True
+            return
+        if source == MOTION_CAPTURE_SOURCE:
+            if self._cameras is not None:
+                try:
+                    self._frames.append(motion_capture.decode(data, self._cameras))
+                except motion_capture.MalformedFrameError:
+                    self._malformed += 1
             return
         joint = self._joint_of.get(can_id)
         if joint is None:
@@ -141,6 +158,7 @@ class Controller:
             self._missed += self._fresh.count(False)
         self._fresh = [False] * self._n
         if not self._imu_seen or b"" in self._states:
+            self._frames.clear()
             return self._answer(now_ns, [Setpoint(state_counter=counter) for counter in self._counters])
         fields = self._unpack_states(b"".join(self._states))
         words, positions = fields[_WORD::_FIELDS], fields[_POSITION::_FIELDS]
@@ -152,6 +170,9 @@ class Controller:
         for foot, knee in enumerate(self._knees):
             space.contacts[foot] = words[knee] & Statusword.FOOT_CONTACT != 0
         self._predict()
+        if self._orientation is not None:
+            self._orient(self._orientation, now_ns)
+        self._frames.clear()
         if self._phase is Phase.ENABLING:
             self._hanging.take(space.gyro, space.force)
             space.q[3:7], space.v[3:6] = self._hanging.quaternion, 0.0
@@ -161,6 +182,17 @@ class Controller:
         setpoints = self._setpoints(words, positions)
         self._advance(words, now_ns)
         return self._answer(now_ns, setpoints)
+
+    def _orient(self, orientation: MotionCaptureOrientation, now_ns: int) -> None:
+        """Let ``orientation`` tell in place of the complementary filter how the torso stands and turns."""
+        space = self._space
+        if self._phase is Phase.ENABLING:
+            orientation.hang(self._hanging.quaternion, self._hanging.zero)
+        orientation.take_imu(space.gyro, now_ns - self._phase_ns)  # sampled so long before the tick
+        for frame in self._frames:
+            orientation.take_frame(frame)
+        orientation.tell()
+        space.q[3:7], space.v[3:6] = orientation.quaternion, orientation.rate
 
     def _advance(self, words: tuple[int, ...], now_ns: int) -> None:
         """Enter the next phase when this one has done its work."""
@@ -203,7 +235,10 @@ class Controller:
 
     def _answer(self, now_ns: int, setpoints: list[Setpoint]) -> list[tuple[int, int, bytes]]:
         self._counter = counter = (self._counter + 1) & 0xFFFF
-        self.telemetry[: -len(_NODE_FIELDS)] = self._behaviour.telemetry
+        behaviour = self._behaviour.telemetry
+        self.telemetry[: len(behaviour)] = behaviour
+        if self._orientation is not None:
+            self.telemetry[len(behaviour) : -len(_NODE_FIELDS)] = self._orientation.telemetry
         self.telemetry[-len(_NODE_FIELDS) :] = (now_ns - min(self._arrivals)) * 1e-9, self._phase, self._missed, self._malformed
         return [
             (bus, messages.COMMAND, messages.encode_command(counter, [setpoints[joint] for joint in joints]))
@@ -224,6 +259,8 @@ class Controller:
             **{name: getattr(self._space, name).copy() for name in self._SHARED},
             "hanging": self._hanging.snapshot(),
             "behaviour": self._behaviour.snapshot(),
+            "frames": list(self._frames),
+            "orientation": None if self._orientation is None else self._orientation.snapshot(),
         }
 
     def restore(self, state: dict[str, Any]) -> None:
@@ -235,3 +272,6 @@ class Controller:
             getattr(self._space, name)[:] = state[name]
         self._hanging.restore(state["hanging"])
         self._behaviour.restore(state["behaviour"])
+        self._frames[:] = state["frames"]
+        if self._orientation is not None:
+            self._orientation.restore(state["orientation"])

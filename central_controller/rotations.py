@@ -15,6 +15,34 @@ def rotation_matrix(quaternion: ca.SX) -> ca.SX:
     ])  # fmt: skip
 
 
+def quaternion_of(rotation: ca.SX) -> ca.SX:
+    """Unit quaternion of a rotation matrix (3, 3), by the greatest of its elements (Shepperd 1978)."""
+    m = rotation
+    trace = m[0, 0] + m[1, 1] + m[2, 2]
+    turn = ca.vertcat(m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1])
+    best, largest = ca.vertcat(turn, 1 + trace), trace  # the quaternion, times four of its elements
+    for i in range(3):
+        vector = [1 - trace + 2 * m[i, i] if i == k else m[i, k] + m[k, i] for k in range(3)]
+        best = ca.if_else(m[i, i] > largest, ca.vertcat(*vector, turn[i]), best)
+        largest = ca.fmax(largest, m[i, i])
+    return best / ca.sqrt(ca.dot(best, best))
+
+
+def nearest_rotation(matrix: ca.SX) -> ca.SX:
+    """The rotation (3, 3) nearest to ``matrix``, of a determinant above 0, in the sum of squares of the elements.
+
+    By Newton's iteration for the polar decomposition, X ← (X + X⁻ᵀ) / 2 (Higham 1986): it converges quadratically, and
+    needs no library that rounds differently on each processor. Singular values from 0.1 to 10 need no more than its
+    eight steps.
+    """
+    x = matrix
+    for _ in range(8):
+        a, b, c = ca.horzsplit(x)
+        cofactors = ca.horzcat(ca.cross(b, c), ca.cross(c, a), ca.cross(a, b))
+        x = (x + cofactors / ca.dot(a, cofactors[:, 0])) / 2
+    return x
+
+
 def compose(a: ca.SX, b: ca.SX) -> ca.SX:
     """Quaternion of the rotation ``a`` after ``b``, normalised: rounding must not add up over ticks."""
     vector = a[3] * b[:3] + b[3] * a[:3] + ca.cross(a[:3], b[:3])

@@ -118,6 +118,7 @@ class Faults:
         places: (bus, port) by joint.
         plant: takes the faults of joints, ``set(joint, key, value)``.
         ticks: how often the joints have ticked so far.
+        motion_capture: takes what hides its LEDs, ``set(key, value)``; None: there is none.
     """
 
     PORTS = 2  # on every wire
@@ -131,8 +132,9 @@ class Faults:
         plant: Any,
         streams: StreamFactory,
         ticks: Callable[[], int],
+        motion_capture: Any = None,
     ) -> None:
-        self._plant = plant
+        self._plant, self._motion_capture = plant, motion_capture
         self.commands = SpoiledCommands({joint: (bus, port - 1) for joint, (bus, port) in places.items()})
         self._robot, self._wires, self._places, self._ticks = robot, wires, places, ticks
         self.senders = Senders(wires, places, int(scenario.firmware.rate))
@@ -166,7 +168,12 @@ class Faults:
                 setters[f"bus.{bus.name}.node.{name}"] = NodeSetter(wire, port, joint, self.senders, self._ticks)
         for joint, name in enumerate(self._robot.joint_names):
             setters[f"joint.{name}"] = JointSetter(joint, self._plant, self.commands)
+        setters["motion_capture"] = self._set_motion_capture
         return setters
+
+    def _set_motion_capture(self, key: str, value: Any, now_ns: int) -> None:
+        if self._motion_capture is not None:  # else there is nothing that could be hidden
+            self._motion_capture.set(key, value)
 
     def _set_talker(self, talker: Talker, key: str, value: Any, now_ns: int) -> None:
         talker.set(key, value, now_ns)

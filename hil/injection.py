@@ -16,10 +16,10 @@ import annotated_types
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
-from bus.config import Babble, Background, Burst, BusConfig, Impairment, NodeFaults
+from bus.config import Babble, Background, Burst, BusConfig, Impairment, LinkConfig, NodeFaults
 from hil.errors import UserError
 from hil.record.journal import Journal
-from plant.config import JointFaults
+from plant.config import JointFaults, MotionCaptureConfig
 from robots.description import Robot
 
 if typing.TYPE_CHECKING:
@@ -48,8 +48,11 @@ class Injectable:
 def injectable(robot: Robot) -> dict[str, Injectable]:
     """All that can be injected into a run of ``robot``, by key."""
     entries: dict[str, Injectable] = {}
-    for link in ("link.state", "link.command"):
-        entries |= _by_key(_fields(Impairment, link))
+    for name, field in LinkConfig.model_fields.items():
+        if name != "motion_capture" or robot.motion_capture is not None:
+            entries |= _by_key(_fields(_model(field), f"link.{name}"))
+    if robot.motion_capture is not None:
+        entries |= _by_key(_fields(MotionCaptureConfig, "motion_capture", without=("enabled",)))
     for bus in robot.buses:
         entries |= of_bus(bus.name, (GATEWAY,), bus.joints)
     for joint in robot.joint_names:
@@ -78,6 +81,11 @@ def of_bus(name: str, nodes: Sequence[str] = (), joints: Sequence[str] = ()) -> 
 def of_standalone_bus(name: str, clients: Sequence[str] = ()) -> dict[str, Injectable]:
     """All that can be injected into a stand-alone bus with these clients."""
     return of_bus(name, clients) | _by_key(_fields(NodeFaults, f"bus.{name}.node.{OTHERS}", only=("cut",)))
+
+
+def _model(field: FieldInfo) -> type[BaseModel]:
+    assert isinstance(field.annotation, type)
+    return field.annotation
 
 
 def _by_key(entries: Iterable[Injectable]) -> dict[str, Injectable]:

@@ -162,6 +162,7 @@ def assemble(
             alter(description.load(scenario.robot, scenario.world.variant)),
             scenario.world.model_copy(update={"variant": None}), scenario.terrain, scenario.stance, scenario.sensors,
             scenario.push, random, compile=compile_function, imu_rate=scenario.firmware.report_rate,
+            motion_capture=scenario.motion_capture,
         )  # fmt: skip
         from central_controller.controller import telemetry_fields
 
@@ -189,6 +190,8 @@ def assemble(
             "drives": [f"{what}.{j}" for what in ("statusword", "error", "round_trip") for j in robot.joint_names],
             "bus": [f"{what}.{b}" for what in ("load", "sent", "lost", "errors") for b in buses],
         }
+        if world.motion_capture is not None:
+            channels["motion_capture"] = list(world.motion_capture.row_fields)
         recorder = Recorder(request.out, channels, buses, log_formats=request.log_formats)
         journal = request.journal if request.journal is not None else Journal(request.out)
         assembly = None
@@ -285,7 +288,7 @@ def conclude(
     from hil.analysis.verdict import judge
 
     scenario = request.scenario
-    tables = {name: recorder.table(name) for name in ("world", "controller", "drives", "bus")}
+    tables = recorder.tables()
     simulated = system.now_ns * 1e-9
     verdict = judge(tables, scenario, stopped=system.stop_reason)
     if failure is not None:

@@ -21,6 +21,7 @@ from joint_firmware.config import FirmwareConfig
 from plant.config import (
     SHANK_FORK_INERTIA,
     JointFaults,
+    MotionCaptureConfig,
     PushConfig,
     SensorConfig,
     StanceConfig,
@@ -54,6 +55,7 @@ class Scenario(Config):
     terrain: TerrainConfig = TerrainConfig()
     stance: StanceConfig = StanceConfig()
     sensors: SensorConfig = SensorConfig()
+    motion_capture: MotionCaptureConfig = MotionCaptureConfig()
     firmware: FirmwareConfig = FirmwareConfig()
     controller: ControllerConfig = ControllerConfig()
     link: LinkConfig = LinkConfig()
@@ -237,6 +239,10 @@ def _inconsistencies(scenario: Scenario) -> Iterator[str]:
         if name not in names:
             yield f"unknown key {f'bus.{name}'!r}{schema.nearest(name, names, 'bus')}"
     firmware, controller = scenario.firmware, scenario.controller
+    if scenario.motion_capture.enabled and robot.motion_capture is None:
+        yield f"motion_capture.enabled: {robot.name} has no LEDs (its description has no [motion_capture])"
+    if controller.orientation == "motion_capture" and not scenario.motion_capture.enabled:
+        yield 'controller.orientation = "motion_capture": needs motion_capture.enabled = true'
     rates = {
         "world.rate": scenario.world.rate,
         "firmware.rate": firmware.rate,

@@ -1,8 +1,8 @@
 """The calendar: one ordering of all events of a run, for any backend and either clock.
 
 Events are ordered by time in integer nanoseconds and, at the same time, by the fixed order in ``System._step``:
-wires, links, world and joints, controller's tick, controller's answer. Nothing is ordered by arrival, so a run is
-the same on every backend and on a loaded machine.
+wires, links, motion capture, world and joints, controller's tick, controller's answer. Nothing is ordered by arrival,
+so a run is the same on every backend and on a loaded machine.
 
 At the joints' tick k the order is: read the sensors, apply the outputs of tick k − 1 (a DSP's output takes effect at
 its next PWM period), let the joints compute, and meanwhile step the physics to tick k + 1.
@@ -22,7 +22,7 @@ from bus.frames import ErrorFrame, Frame
 from bus.gateway import Gateway
 from bus.link import NEVER, Link
 from bus.wire import Wire
-from bus.zenoh_link import IMU_SOURCE
+from bus.zenoh_link import IMU_SOURCE, MOTION_CAPTURE_SOURCE
 from hil.clock import VirtualClock, WallClock, tick_ns
 from hil.faults import Faults
 from hil.injection import Injector
@@ -117,6 +117,11 @@ class System:
         self.gateway = Gateway(robot)
         self.state_link = Link("link.state", scenario.link.state, streams)
         self.command_link = Link("link.command", scenario.link.command, streams)
+        self.motion_capture_link = Link("link.motion_capture", scenario.link.motion_capture, streams)
+        self._links = {
+            "link.state": self.state_link, "link.command": self.command_link,
+            "link.motion_capture": self.motion_capture_link,
+        }  # fmt: skip
 
         self._isr_rate = int(scenario.firmware.rate)
         self._steps_per_isr = int(scenario.world.rate) // self._isr_rate
@@ -124,6 +129,9 @@ class System:
         self._control_rate = int(scenario.controller.rate)
         self._control_phase_ns = round(scenario.controller.phase * 1e9)
         self._compute_ns = round(scenario.controller.compute_time * 1e9)
+        self._exposure_rate = robot.motion_capture.rate if robot.motion_capture is not None else 0
+        self._exposures = 0  # done
+        self._exposure_ns = NEVER if world.motion_capture is None else 0
         self._isr = 0  # ticks done
         self._control = 0
         self._isr_ns = 0
@@ -134,15 +142,17 @@ class System:
         self._monitor_ns = _MONITOR_NS
         self._inboxes: list[list[Frame]] = [[] for _ in range(self._joint_count)]
         self._arrived: list[tuple[int, int, int, bytes]] = []
-        self.faults = Faults(scenario, robot, self.wires, self._place, world.faults, streams, lambda: self._isr)
+        self.faults = Faults(
+            scenario, robot, self.wires, self._place, world.faults, streams, lambda: self._isr, world.motion_capture
+        )
         self._senders = self.faults.senders
-        links = {"link.state": self.state_link, "link.command": self.command_link}
-        self.injector = Injector(scenario, robot, self.faults.setters(links), self.journal)
+        self.injector = Injector(scenario, robot, self.faults.setters(self._links), self.journal)
 
         self._world_rows = recorder.channel("world")
         self._controller_rows = recorder.channel("controller")
         self._drive_rows = recorder.channel("drives")
         self._bus_rows = recorder.channel("bus")
+        self._motion_capture_rows = recorder.channel("motion_capture") if world.motion_capture is not None else None
         n = self._joint_count
         self._drive_row = np.full(3 * n, np.nan)
         self._drive_row[: 2 * n] = 0.0
@@ -172,6 +182,8 @@ class System:
                 self.faults.next_ns,
                 self.state_link.next_time(),
                 self.command_link.next_time(),
+                self.motion_capture_link.next_time(),
+                self._exposure_ns,
                 *[wire.next_time() for wire in self.wires],
             )
             if now >= end_ns:
@@ -199,6 +211,11 @@ class System:
                     if self.faults.commands:
                         frame = self.faults.commands.apply(bus, frame)
                     self.wires[bus].offer(now, GATEWAY_PORT, frame)
+        if self.motion_capture_link.next_time() == now:
+            for arrival, (source, can_id, data) in self.motion_capture_link.pop_due(now):
+                self._arrived.append((arrival, source, can_id, data))
+        if now == self._exposure_ns:
+            self._expose(now)
         if now == self._isr_ns:
             self.clock.wait_until(now)
             self._tick_joints(now)
@@ -253,6 +270,16 @@ class System:
                 inbox.clear()
         self._isr += 1
         self._isr_ns = tick_ns(self._isr, self._isr_rate)
+
+    def _expose(self, now: int) -> None:
+        """Let the cameras look. Since the joints' last tick the physics is ahead, at the time of their next one."""
+        system = self.world.motion_capture
+        assert system is not None and self._motion_capture_rows is not None
+        payload = system.expose(now, (self._isr_ns - now) * 1e-9)
+        self.motion_capture_link.send(now, (MOTION_CAPTURE_SOURCE, 0, payload), 8 * len(payload))
+        self._motion_capture_rows.append(now, system.row)
+        self._exposures += 1
+        self._exposure_ns = tick_ns(self._exposures, self._exposure_rate)
 
     def _step_physics(self) -> None:
         world, ring = self.world, self.ring
@@ -366,8 +393,8 @@ class System:
 
     def deliveries(self) -> dict[str, dict[str, int]]:
         """What has happened so far to what buses and links carried, by their paths."""
-        links = {"link.state": self.state_link, "link.command": self.command_link}
-        return {path: link.counts for path, link in links.items()} | {
+        used = {path: link for path, link in self._links.items() if path != "link.motion_capture" or self._exposures}
+        return {path: link.counts for path, link in used.items()} | {
             f"bus.{wire.name}": wire.counts for wire in self.wires
         }
 
@@ -400,7 +427,7 @@ class System:
 
     _PLAIN = (
         "now_ns", "_isr", "_control", "_isr_ns", "_control_ns", "_reply_ns", "_flush_ns", "_monitor_ns", "tool_frames",
-        "stop_reason",
+        "stop_reason", "_exposures", "_exposure_ns",
     )  # fmt: skip
 
     def snapshot(self) -> dict[str, Any]:
@@ -419,7 +446,7 @@ class System:
             "joints": self.joints.snapshot(),
             "controller": self.controller.snapshot(),
             "wires": [wire.snapshot() for wire in self.wires],
-            "links": [self.state_link.snapshot(), self.command_link.snapshot()],
+            "links": {path: link.snapshot() for path, link in self._links.items()},
             "gateway": self.gateway.snapshot(),
             "faults": self.faults.snapshot(),
             "injector": self.injector.snapshot(),
@@ -441,8 +468,8 @@ class System:
         self.controller.restore(state["controller"])
         for wire, saved in zip(self.wires, state["wires"], strict=True):
             wire.restore(saved)
-        self.state_link.restore(state["links"][0])
-        self.command_link.restore(state["links"][1])
+        for path, link in self._links.items():
+            link.restore(state["links"][path])
         self.gateway.restore(state["gateway"])
         self.faults.restore(state["faults"])
         self.injector.restore(state["injector"])

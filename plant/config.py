@@ -14,7 +14,9 @@ from robots.quantities import (
     Kilograms,
     Metres,
     Newtons,
+    Probability,
     Radians,
+    RadiansPerSecond,
     Seconds,
     SignedNewtonMetres,
     TorquePerRadian,
@@ -62,6 +64,24 @@ class SensorConfig(Config):
     mounting: Annotated[Radians, Field(ge=0)] = 0.0  # 1σ, of the joints' absolute encoders; 0: all are calibrated
     # by joint, in place of what ``mounting`` draws: what its absolute encoder reads at 0 rad
     encoder_offset: dict[str, Radians] = Field(default_factory=dict)
+    # The gyro's bias wanders beside ``bias``: 1σ of a first-order Gauss-Markov process per axis. Hume's IMU is one of
+    # 0.25 deg/s, and drifted faster than that (Kim 2018 §7.3.3).
+    gyro_drift: Annotated[RadiansPerSecond, Field(ge=0)] = 0.0
+    gyro_drift_time: Annotated[Seconds, Field(gt=0)] = 30.0  # its correlation time, ASSUMED
+
+
+class MotionCaptureConfig(Config):
+    """The motion capture system, and what hides LEDs from it. All but ``enabled`` can be injected while a run goes on.
+
+    Each LED is hidden and seen again by a Markov chain of its own that steps at every exposure.
+    """
+
+    enabled: bool = False
+    occluded: bool = Field(default=False, description="somebody stands in the way: no LED is seen")
+    occlusion: Probability = Field(default=0.0, description="share of the time that each LED is hidden; 0: never")
+    occlusion_time: Annotated[Seconds, Field(ge=0, le=100)] = Field(
+        default=0.1, description="how long an LED stays hidden in the mean"
+    )
 
 
 class PushConfig(Config):

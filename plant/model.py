@@ -46,10 +46,11 @@ def panel_normals(angle: float) -> Array:
 
 def build(
     robot: Robot, stance: Stance, terrain: TerrainConfig, planarizer: PlanarizerConfig, rate: float,
-    shank_stiffness: float = 0.0,
+    shank_stiffness: float = 0.0, leds: bool = False,
 ) -> mujoco.MjModel:  # fmt: skip
     """Build the model. ``rate``: physics steps per second. The terrain just touches the feet of ``stance``.
-    ``shank_stiffness`` [N m/rad]: of the shanks' bending, see WorldConfig; 0: rigid.
+    ``shank_stiffness`` [N m/rad]: of the shanks' bending, see WorldConfig; 0: rigid. ``leds``: whether it carries the
+    motion capture's, as sites.
 
     Sensors, in this order in ``sensordata`` (3 numbers each unless said): base (torso frame's origin), com
     and com_velocity (of the robot without slider), feet's centres, contacts (force of the foot on the
@@ -82,6 +83,8 @@ def build(
     _terrain(spec, robot, stance, terrain)
     torso = _base(spec, robot, planarizer)
     _legs(spec, robot, torso, shank_stiffness)
+    if leds and robot.motion_capture is not None:
+        visuals.leds(spec, robot.motion_capture)
     _sensors(spec, robot)
     return spec.compile()
 
@@ -189,7 +192,7 @@ def _legs(spec: mujoco.MjSpec, robot: Robot, torso: Any, shank_stiffness: float)
 
 def _tube(fork: Any, joint: Joint, foot: Foot, stiffness: float) -> Any:
     """The body of a shank that bends at its top, about the axis of its ``joint`` and across it."""
-    tube = fork.add_body(name=f"{joint.name}_tube")
+    tube = fork.add_body(name=visuals.tube_name(joint.name))
     along = np.asarray(foot.position)
     lever = joint.link.inertia[1] + joint.link.mass * float(np.dot(joint.link.com, joint.link.com))
     sagittal = np.asarray(joint.axis)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -118,11 +119,9 @@ def joint_encoder_offset(joint: Joint, config: SensorConfig, streams: Callable[[
 
 
 class ImuSensor:
-    """Gyroscope and accelerometer with white noise and a bias that is constant over a run."""
+    """Gyroscope and accelerometer with white noise and a constant bias; that of the gyro may drift as well."""
 
-    def __init__(
-        self, description: Imu, config: SensorConfig, rate: float, streams: Callable[[str], Any]
-    ) -> None:
+    def __init__(self, description: Imu, config: SensorConfig, rate: float, streams: Callable[[str], Any]) -> None:
         self._imu = description
         # a continuous-time density becomes a discrete deviation: divide the variance by the sample period
         self._gyro_deviation = config.noise * description.gyro_noise_density * rate**0.5
@@ -131,10 +130,17 @@ class ImuSensor:
         self._gyro_bias = config.bias * description.gyro_bias * bias[:3]
         self._force_bias = config.bias * description.accelerometer_bias * bias[3:]
         self._noise = streams("plant.imu.noise")
+        self._drift_noise = streams("plant.imu.drift")
+        self._drift = config.gyro_drift * self._drift_noise.normal(3) if config.gyro_drift else np.zeros(3)
+        self._drift_kept = math.exp(-1.0 / (config.gyro_drift_time * rate))  # per sample
+        self._drift_deviation = config.gyro_drift * math.sqrt(1.0 - self._drift_kept**2)
 
     def sample(self, gyro: np.ndarray, force: np.ndarray) -> bytes:
         """The wire's bytes for the true angular velocity [rad/s] and specific force [m/s²]."""
         noise = self._noise.normal(6)
+        if self._drift_deviation:
+            self._drift = self._drift_kept * self._drift + self._drift_deviation * self._drift_noise.normal(3)
+            gyro = gyro + self._drift
         return imu.encode(
             gyro + self._gyro_bias + self._gyro_deviation * noise[:3],
             force + self._force_bias + self._force_deviation * noise[3:],
@@ -142,7 +148,10 @@ class ImuSensor:
         )
 
     def snapshot(self) -> Any:
-        return self._noise.snapshot()
+        return self._noise.snapshot(), self._drift_noise.snapshot(), self._drift.copy()
 
     def restore(self, state: Any) -> None:
-        self._noise.restore(state)
+        noise, drift_noise, drift = state
+        self._noise.restore(noise)
+        self._drift_noise.restore(drift_noise)
+        self._drift = drift.copy()

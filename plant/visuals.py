@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 
 from plant.stance import Array, Stance
-from robots.description import Joint, Robot
+from robots.description import Joint, MotionCapture, Robot
 
 CAMERA = "side"
 
@@ -17,6 +17,7 @@ _LEFT = [0.16, 0.42, 0.72, 1.0]
 _SHELL = [0.82, 0.83, 0.85, 1.0]
 _DARK = [0.20, 0.21, 0.23, 1.0]
 _WOOD = [0.80, 0.62, 0.40, 1.0]
+_LED = [1.0, 0.05, 0.05, 1.0]
 
 
 def _show(body: Any, kind: Any, size: list[float], rgba: list[float], **place: Any) -> Any:
@@ -108,3 +109,20 @@ def link(body: Any, robot: Robot, joint: Joint) -> None:
     ends += [foot.position for foot in robot.feet if foot.joint == joint.name]
     for end in ends:
         _capsule(body, np.zeros(3), np.asarray(end), 0.03, colour)
+
+
+def led_site(name: str) -> str:
+    """Of the site that is the LED ``name``."""
+    return f"led.{name}"
+
+
+def tube_name(joint: str) -> str:
+    """Of the body that carries what is fixed to the shank behind ``joint``, if it bends."""
+    return f"{joint}_tube"
+
+
+def leds(spec: mujoco.MjSpec, system: MotionCapture) -> None:
+    """The motion capture's LEDs on their links."""
+    for led in system.leds:
+        carrier = spec.body(tube_name(led.link)) or spec.body(led.link)
+        carrier.add_site(name=led_site(led.name), pos=list(led.position), size=[0.012] * 3, rgba=_LED)

@@ -12,9 +12,10 @@ import numpy as np
 
 from plant import stance as stances
 from plant.actuators.bank import ActuatorBank
-from plant.config import PushConfig, SensorConfig, StanceConfig, TerrainConfig, WorldConfig
+from plant.config import MotionCaptureConfig, PushConfig, SensorConfig, StanceConfig, TerrainConfig, WorldConfig
 from plant.joint_faults import FaultyJoints
 from plant.model import bends, build, coordinates, initial_qpos
+from plant.motion_capture import MotionCaptureSystem
 from plant.sensors import ImuSensor, JointSensors
 from robots import description, pins
 from robots.description import Robot
@@ -46,6 +47,7 @@ class World:
         streams: Callable[[str], Any],
         compile: Callable[[ca.Function], ca.Function] = _identity,
         imu_rate: float = 1500.0,
+        motion_capture: MotionCaptureConfig = MotionCaptureConfig(),
     ) -> None:
         if config.variant is not None:
             robot = description.load(robot.source, config.variant)
@@ -57,7 +59,9 @@ class World:
         start = stances.initial(robot, stance)
         if robot.imu is None:
             raise stances.StanceError(f"standing needs an IMU in the torso; {robot.name} has none")
-        self.model = build(robot, start, terrain, config.planarizer, config.rate, config.shank_stiffness)
+        self.model = build(
+            robot, start, terrain, config.planarizer, config.rate, config.shank_stiffness, motion_capture.enabled
+        )
         self.data = mujoco.MjData(self.model)
         n = len(robot.joints)
         self._n = n
@@ -82,6 +86,13 @@ class World:
         self._joint_sensors = JointSensors(robot, sensors, streams, compile, self._actuators)
         self.faults = FaultyJoints(robot, self._actuators, streams)
         self._imu = ImuSensor(robot.imu, sensors, imu_rate, streams)
+        self.motion_capture: MotionCaptureSystem | None = None
+        if motion_capture.enabled:
+            if robot.motion_capture is None:
+                raise ValueError(f"{robot.name} has no LEDs for motion capture")
+            self.motion_capture = MotionCaptureSystem(
+                robot.motion_capture, motion_capture, sensors, self.model, self.data, streams
+            )
         self.pins_in = np.zeros((n, pins.N_INPUTS), np.int32)
         self.pins_out = np.zeros((n, pins.N_OUTPUTS), np.int32)
         self._ampere_per_count = np.array([joint.actuator.ampere_per_count for joint in robot.joints])
@@ -273,6 +284,7 @@ class World:
             "actuators": self._actuators.snapshot(),
             "joint_sensors": self._joint_sensors.snapshot(),
             "imu": self._imu.snapshot(),
+            "motion_capture": None if self.motion_capture is None else self.motion_capture.snapshot(),
             "faults": self.faults.snapshot(),
             "pins": (self.pins_in.copy(), self.pins_out.copy()),
         }
@@ -288,5 +300,7 @@ class World:
         self._actuators.restore(state["actuators"])
         self._joint_sensors.restore(state["joint_sensors"])
         self._imu.restore(state["imu"])
+        if self.motion_capture is not None:
+            self.motion_capture.restore(state["motion_capture"])
         self.faults.restore(state["faults"])
         self.pins_in[:], self.pins_out[:] = state["pins"]

@@ -125,8 +125,30 @@ class Imu(Config):
     accelerometer_resolution: Positive
 
 
+class Led(Config):
+    """An LED that the motion capture system tells from all others."""
+
+    name: str
+    link: str  # the base or a joint, whose link it is on
+    position: Vector3  # m, in the link's frame
+
+
+class MotionCapture(Config):
+    """Cameras around the robot that locate the LEDs on it, in a frame of their own that is the world's."""
+
+    rate: Annotated[int, Field(ge=1, le=10_000)]  # exposures per second
+    noise: NonNegative  # m, 1σ per axis and exposure
+    placement: NonNegative  # m, 1σ per axis: how well it is known where on its link an LED is
+    resolution: Positive  # m per count
+    leds: Annotated[tuple[Led, ...], Field(alias="led", min_length=1, max_length=16)]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return tuple(led.name for led in self.leds)
+
+
 class Robot(Config):
-    """A whole robot: floating base, joints in the order of the generalised coordinates, feet, buses, IMU.
+    """A whole robot: floating base, joints in the order of the generalised coordinates, feet, buses, IMU, LEDs.
 
     A test stand has joints only: no feet, no IMU.
     """
@@ -140,6 +162,7 @@ class Robot(Config):
     feet: tuple[Foot, ...] = Field(alias="foot", default=())
     buses: tuple[Bus, ...] = Field(alias="bus")
     imu: Imu | None = None
+    motion_capture: MotionCapture | None = None
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
@@ -151,6 +174,12 @@ class Robot(Config):
         on_buses = [name for bus in self.buses for name in bus.joints]
         if sorted(on_buses) != sorted(self.joint_names):
             raise ValueError("every joint must be on exactly one bus")
+        leds = self.motion_capture.leds if self.motion_capture is not None else ()
+        for led in leds:
+            if led.link not in known:
+                raise ValueError(f"LED {led.name}: there is no link {led.link!r}")
+        if len({led.name for led in leds}) < len(leds):
+            raise ValueError("two LEDs have one name")
         return self
 
     @cached_property

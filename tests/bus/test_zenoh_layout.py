@@ -31,7 +31,7 @@ def table(title: str) -> tuple[struct.Struct, list[str]]:
 def test_a_bundle_built_from_the_document_is_read() -> None:
     header, header_fields = table("Header")
     item, item_fields = table("Item")
-    fields = {"magic": 0x4C48, "version": 1, "reserved": 0, "sequence": 77, "time": 123456789, "items": 2, "values": 3}
+    fields = {"magic": 0x4C48, "version": 2, "reserved": 0, "sequence": 77, "time": 123456789, "items": 2, "values": 3}
     first = {"arrival": 5, "identifier": 0x184, "source": 1, "length": 3}
     second = {"arrival": 6, "identifier": 0, "source": 255, "length": 0}
     payload = header.pack(*[fields[name] for name in header_fields])

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from bus.zenoh_link import (
     IMU_SOURCE,
+    MOTION_CAPTURE_SOURCE,
     MalformedBundleError,
     decode_bundle,
     encode_bundle,
@@ -20,8 +21,8 @@ from bus.zenoh_link import (
 )
 
 items_strategy = st.lists(
-    st.tuples(st.integers(0, 2**62), st.sampled_from([0, 1, IMU_SOURCE]), st.integers(0, 2**29 - 1),
-              st.binary(max_size=64)), max_size=10)  # fmt: skip
+    st.tuples(st.integers(0, 2**62), st.sampled_from([0, 1, IMU_SOURCE, MOTION_CAPTURE_SOURCE]),
+              st.integers(0, 2**29 - 1), st.binary(max_size=255)), max_size=10)  # fmt: skip
 values_strategy = st.lists(st.floats(width=64), max_size=20)
 
 
@@ -38,7 +39,7 @@ def test_what_is_decoded_is_what_was_encoded(
 def test_the_layout_is_the_documented_one() -> None:
     payload = encode_bundle(7, 1000, [(900, 1, 0x181, b"\xaa\xbb")], np.array([1.0]))
     assert payload.hex() == (
-        "484c" "01" "00" "07000000" "e803000000000000" "0100" "0100"
+        "484c" "02" "00" "07000000" "e803000000000000" "0100" "0100"
         "8403000000000000" "81010000" "01" "02" "aabb" "000000000000f03f"
     )  # fmt: skip
 

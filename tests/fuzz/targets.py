@@ -31,7 +31,7 @@ from hil.errors import UserError
 from hil.record.mcap_writer import McapWriter
 from hil.record.signals import SIGNALS_FILE, load_tables
 from hil.scenario import load, parse_value
-from robots import description, pins
+from robots import description, motion_capture, pins
 
 ROBOT = description.load("hume")
 BUS = ROBOT.buses[0]
@@ -229,6 +229,26 @@ def _bundles() -> list[bytes]:
     ]
 
 
+def camera_frame(data: bytes) -> None:
+    assert ROBOT.motion_capture is not None
+    try:
+        frame = motion_capture.decode(data, ROBOT.motion_capture)
+    except motion_capture.MalformedFrameError:
+        return
+    assert motion_capture.encode(frame, ROBOT.motion_capture) == data
+
+
+def _camera_frames() -> list[bytes]:
+    assert ROBOT.motion_capture is not None
+    n = len(ROBOT.motion_capture.leds)
+    seen = np.arange(n) % 3 > 0
+    return [
+        motion_capture.encode(
+            motion_capture.Frame(10**9, 480, seen.astype(float), np.ones((n, 3))), ROBOT.motion_capture
+        )
+    ]
+
+
 _OPEN = contextlib.ExitStack()  # closed with this process
 atexit.register(_OPEN.close)
 
@@ -350,6 +370,7 @@ TARGETS = {
     "firmware": Target(firmware, _commands),
     "sdo": Target(sdo, _requests),
     "bundle": Target(bundle, _bundles),
+    "camera_frame": Target(camera_frame, _camera_frames),
     "injection": Target(injection, _injections),
     "setting": Target(setting, _settings),
     "background": Target(background_text, lambda: [b"0x050:8:1ms"]),

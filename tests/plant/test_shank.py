@@ -8,10 +8,18 @@ import pytest
 
 from hil.streams import streams
 from plant import stance
-from plant.config import HoistConfig, PlanarizerConfig, SensorConfig, StanceConfig, TerrainConfig, WorldConfig
+from plant.config import (
+    HoistConfig,
+    MotionCaptureConfig,
+    PlanarizerConfig,
+    SensorConfig,
+    StanceConfig,
+    TerrainConfig,
+    WorldConfig,
+)
 from plant.model import bends, build, coordinates, initial_qpos
 from plant.world import World
-from robots import description
+from robots import description, motion_capture
 
 HUME = description.load("hume")
 START = stance.initial(HUME, StanceConfig())
@@ -68,9 +76,13 @@ def test_a_force_on_the_foot_bends_a_shank_as_a_cantilever(axis: int) -> None:
     assert given == pytest.approx(20.0 * length**2 / STIFFNESS, rel=1e-3)
 
 
-def world(stiffness: str | int) -> World:
+def world(stiffness: str | int, cameras: MotionCaptureConfig | None = None) -> World:
     config = WorldConfig(shank_stiffness=stiffness, hoist=HoistConfig(hold="10s"))
-    return World(HUME, config, TerrainConfig(), StanceConfig(), SensorConfig(), [], streams(0))
+    exact = SensorConfig(noise=0.0, bias=0.0)
+    return World(
+        HUME, config, TerrainConfig(), StanceConfig(), exact, [], streams(0),
+        motion_capture=cameras or MotionCaptureConfig(),
+    )  # fmt: skip
 
 
 def test_encoders_see_the_joint_and_not_the_bending() -> None:
@@ -108,3 +120,18 @@ def test_rigid_shanks_are_views_of_what_was_there() -> None:
     node = world(0)
     assert np.shares_memory(node._q, node.data.qpos)
     assert not any(name.startswith("bend") for name in node.truth_fields)
+
+
+def test_motion_capture_sees_the_bending_and_kinematics_does_not() -> None:
+    """An LED at a foot against where base and joints, as a rigid model has them, put it (Kim 2018 §6.2)."""
+    bent = world("2000Nm/rad", MotionCaptureConfig(enabled=True))
+    bent.data.qpos[bent.model.joint("right_knee_sagittal").qposadr[0]] = 0.02
+    mujoco.mj_forward(bent.model, bent.data)
+    frame = motion_capture.decode(bent.motion_capture.expose(0, 0.0), HUME.motion_capture)
+    rigid = world(0, MotionCaptureConfig(enabled=True))  # in the same pose
+    known = motion_capture.decode(rigid.motion_capture.expose(0, 0.0), HUME.motion_capture)
+    off = np.linalg.norm(frame.positions - known.positions, axis=1)
+    right = HUME.motion_capture.names.index("right_foot")
+    lever = np.linalg.norm(HUME.motion_capture.leds[right].position)
+    assert off[right] == pytest.approx(0.02 * lever, rel=0.05)
+    assert np.delete(off, right).max() < 1e-3

@@ -20,6 +20,7 @@ SMOOTH: dict[str, Value] = {
     "world.friction_scale": 0.0,
     "sensors.noise": 0.0,
     "sensors.bias": 0.0,
+    "sensors.gyro_drift": "0 deg/s",
     "controller.path.kind": "hold",
     "firmware.heartbeat_period": "0 s",  # the frames behind one are late
 }
@@ -88,7 +89,8 @@ def _moved(settled: dict[str, Any], fresh: dict[str, Any]) -> dict[str, Any]:
 class OperatingPoint:
     """``scenario``, made smooth, at ``at`` s. Use as a context manager, or ``close`` it.
 
-    Raises UserError when the robot does not come that far.
+    Raises UserError when the robot does not come that far, and for an orientation from motion capture: what that
+    remembers is no part of the linear model.
     """
 
     def __init__(self, scenario: Scenario, at: float, settled: dict[str, Any] | None = None) -> None:
@@ -96,6 +98,11 @@ class OperatingPoint:
 
         if scenario.world.shank_stiffness:
             raise UserError(f"{scenario.name}: shanks that bend are not linearised; set world.shank_stiffness=0")
+        if scenario.controller.orientation != "complementary":
+            raise UserError(
+                f'controller.orientation = "{scenario.controller.orientation}": a linear model knows the complementary '
+                "filter only"
+            )
         self.scenario, self.at = smooth(scenario), at
         self._stack = contextlib.ExitStack()
         try:

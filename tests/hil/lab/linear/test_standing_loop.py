@@ -110,6 +110,12 @@ def test_a_robot_that_hangs_is_refused():
         point.linearise()
 
 
+def test_an_orientation_from_motion_capture_is_refused():
+    seen = load("stand", ["motion_capture.enabled=true", "controller.orientation=motion_capture"])
+    with pytest.raises(UserError, match="complementary filter only"):
+        OperatingPoint(seen, 2.5)
+
+
 def test_halving_all_displacements_changes_little(point, nominal):
     change = nominal.change(point.linearise(scale=0.5))
     assert change["growth"] < 0.3
