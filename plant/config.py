@@ -142,7 +142,7 @@ class WorldConfig(Config):
     of each; 0: rigid. A cantilever of length L that is loaded at its end deflects there as one with 3 E I / L. ASSUMED
     for Hume: a carbon tube of 30 mm with walls of 1.5 mm (0.1 kg of the shank's 0.2 kg) and 80 GPa along the tube,
     E I = 80 GPa · π/64 (30⁴ − 27⁴) mm⁴ = 1.1 kN m²: 7.0 kN m/rad with L = 0.47 m. The 5 cm between motion capture and
-    kinematics of Kim 2018 §6.2 would take 560 N m/rad under its 60 N m: more than such a tube gives bends there.
+    kinematics of Kim 2018 §6.2 would take 560 N m/rad under its 60 N m: most of it must bend elsewhere.
     """
 
     rate: Hertz = 3000.0  # physics steps per second; a multiple of the firmware's rate
