@@ -78,10 +78,12 @@ def _moved(settled: dict[str, Any], fresh: dict[str, Any]) -> dict[str, Any]:
             {**old, "settings": (new["settings"][0], *old["settings"][1:])}  # what it has measured of itself stays
             for old, new in zip(settled["joints"], fresh["joints"], strict=True)
         ],
-        **{
-            part: [{**old, "impairment": new["impairment"]} for old, new in zip(settled[part], own, strict=True)]
-            for part, own in fresh.items() if part in ("links", "wires")
+        "links": {
+            path: {**old, "impairment": fresh["links"][path]["impairment"]} for path, old in settled["links"].items()
         },
+        "wires": [
+            {**old, "impairment": new["impairment"]} for old, new in zip(settled["wires"], fresh["wires"], strict=True)
+        ],
         "injector": fresh["injector"],
     }
 
