@@ -7,15 +7,20 @@ from collections.abc import Callable
 
 import numpy as np
 
+from central_controller.config import MotionCaptureFilterConfig
 from central_controller.estimation.foot_light import light_filter
 from central_controller.estimation.foot_models import FootNoise
 from central_controller.estimation.kalman import UNKNOWN
+from central_controller.estimation.motion_capture import MotionCaptureOrientation
 from central_controller.estimation.orientation_ekf import OrientationFilter, OrientationNoise
 from central_controller.estimation.pendulum_observer import PendulumNoise, PendulumObserver
 from hil.compiled import compile_function
+from robots import description
+from robots.motion_capture import Frame
 
 LIMIT = 100e-6  # s: "only 0.1ms is allowed for estimators" (Kim 2018 §6.2.2)
 _DT = 1 / 1500.0
+_ROBOT = description.load("hume")
 
 
 def tick_costs(ticks: int = 2000) -> dict[str, float]:
@@ -40,7 +45,23 @@ def tick_costs(ticks: int = 2000) -> dict[str, float]:
         pendulum.predict(0.0, 0.1)
         pendulum.correct(0.0, 0.0, 0.1, 0.1)
 
-    tasks = {"orientation EKF": turn, "foot position, light filter of 15 states": place, "pendulum observer": fall}
+    system = _ROBOT.motion_capture
+    assert system is not None
+    cameras = MotionCaptureOrientation(_ROBOT, MotionCaptureFilterConfig(), compile_function)
+    seen, places = np.ones(len(system.leds)), np.array([led.position for led in system.leds])
+    now = iter(range(0, 10**18, round(_DT * 1e9)))
+
+    def look() -> None:  # a frame in every tick; they come in every third
+        exposure_ns = next(now)
+        cameras.take_imu(rate, exposure_ns)
+        cameras.take_frame(Frame(exposure_ns, 0, seen, places))
+
+    tasks = {
+        "orientation EKF": turn,
+        "orientation from motion capture, with a frame": look,
+        "foot position, light filter of 15 states": place,
+        "pendulum observer": fall,
+    }
     return {name: _median(task, ticks) for name, task in tasks.items()}
 
 

@@ -118,7 +118,7 @@ def lines(results: Results) -> Iterator[str]:
     total = sum(results.costs.values())
     yield f"cost of a servo tick: {1e6 * total:.1f} µs of {1e6 * cost.LIMIT:g} µs"
     for name, seconds in results.costs.items():
-        yield f"  {name:42} {1e6 * seconds:5.1f} µs"
+        yield f"  {name:46} {1e6 * seconds:5.1f} µs"
 
 
 def _foot_line(score: Score) -> str:
