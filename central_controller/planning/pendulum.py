@@ -53,9 +53,7 @@ class Pendulum:
     ) -> tuple[float, float]:
         z, zx, zy, zxx, zxy, zyy = self.surface(x, y)
         r, dx, dy = self.mass_ratio, x - px, y - py
-        pull = (self.gravity + zxx * vx * vx + 2.0 * zxy * vx * vy + zyy * vy * vy) / (
-            z - pz - r * zx * dx - zy * dy
-        )
+        pull = (self.gravity + zxx * vx * vx + 2.0 * zxy * vx * vy + zyy * vy * vy) / (z - pz - r * zx * dx - zy * dy)
         return r * dx * pull, dy * pull
 
     def advance(self, state: PendulumState, foot: Foot, duration: float, step: float) -> PendulumState:
