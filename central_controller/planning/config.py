@@ -6,7 +6,8 @@ from typing import Annotated, Self
 
 from pydantic import Field, model_validator
 
-from robots.quantities import Config, Gain, Metres, MetresPerSecond, Seconds
+from robots.quantities import Config, Gain, Kilograms, Metres, MetresPerSecond, Probability, Seconds
+from robots.terrain import Block
 
 Positive = Field(gt=0)
 NotNegative = Field(ge=0)
@@ -75,3 +76,30 @@ class SwingConfig(Config):
     height: Annotated[Metres, Positive] = 0.05  # of the lift
     touchdown_speed: Annotated[MetresPerSecond, NotNegative] = 0.10  # downwards, when the ground is expected
     search_depth: Annotated[Metres, NotNegative] = 0.05  # how far below that a late ground is looked for
+
+
+class OpenLoopConfig(Config):
+    """Steps whose joint angles are planned beforehand (Kim 2018 §7.1). The right foot starts half a step in front of
+    the origin, the left one half a step behind it; the left one swings first."""
+
+    steps: Annotated[int, Field(ge=1, le=20)] = 1
+    start: Seconds = 3.0  # of the motion, from the start of the run
+    step_length: Annotated[Metres, Positive] = 0.3  # between the feet
+    com_height: Annotated[Metres, Positive] = 0.83  # above the feet's centres, at rest
+    apex_speed: Annotated[MetresPerSecond, Positive] = 0.36  # of the centre of mass above each stance foot
+    rise: Annotated[Metres, NotNegative] = 0.01  # h_o of (7.6): of the height's peak above each stance foot
+    drop: Annotated[Metres, NotNegative] = 0.01  # of the height where a foot lands below that at rest: it lands softly
+    wind_up: Metres = 0.03  # the centre of mass is moved back by this first
+    wind_up_time: Annotated[Seconds, Positive] = 1.0
+    lift_off: Annotated[Metres, Positive] = 0.09  # of the centre of mass before the stance foot, at the first lift-off
+    push_time: Annotated[Seconds, Positive] = 0.6  # from rest to the first lift-off
+    last_landing: Annotated[Metres, Positive] = 0.09  # of the centre of mass behind the last stance foot
+    stop_time: Annotated[Seconds, Positive] = 0.7  # from the last landing to rest
+    dual_time: Annotated[Seconds, NotNegative] = 0.08  # on both feet between two steps
+    clearance: Annotated[Metres, Positive] = 0.06  # of the swing foot above the higher of the grounds that it joins
+    boost_speed: Annotated[MetresPerSecond, NotNegative] = 0.0  # §7.1.6: gained after the first lift-off
+    boost_length: Annotated[Metres, Positive] = 0.03  # over this way
+    slider_mass: Kilograms = 5.0  # m_s of (7.5)
+    wait: Seconds = 0.2  # for a foot that should have landed
+    feed_forward: Probability = 0.0  # share of the planned torques that the drives are told beside the positions
+    blocks: tuple[Block, ...] = ()  # of the terrain, as far as the planner knows
