@@ -6,6 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
+from central_controller.planning.config import OpenLoopConfig
 from robots.quantities import Config, Gain, Hertz, Metres, Newtons, Seconds
 
 
@@ -57,7 +58,7 @@ class MotionCaptureFilterConfig(Config):
 class ControllerConfig(Config):
     """The central controller: timing, model, tasks."""
 
-    behaviour: Literal["stand"] = "stand"
+    behaviour: Literal["stand", "open_loop"] = "stand"
     rate: Hertz = 1500.0
     phase: Seconds = 270e-6  # of its tick behind the joints' sample: all drive states have arrived by then
     compute_time: Seconds = 200e-6  # from its tick to its commands (Kim 2018 §7.1.1: 0.2 ms for WBOSC)
@@ -71,3 +72,4 @@ class ControllerConfig(Config):
     tasks: TaskSetConfig = TaskSetConfig()
     internal_force: InternalForceConfig = InternalForceConfig()
     path: PathConfig = PathConfig()
+    open_loop: OpenLoopConfig = OpenLoopConfig()

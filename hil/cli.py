@@ -131,7 +131,7 @@ def _parser() -> argparse.ArgumentParser:
     inject.set_defaults(command=_inject)
 
     joint_command.add_parser(commands)
-    from hil.commands import bisect, campaign, diff, estimators, linearise, margin, protection, replay, sweep
+    from hil.commands import bisect, campaign, diff, estimators, gait, linearise, margin, protection, replay, sweep
     from hil.commands import map as map_command
 
     replay.add_parser(commands)
@@ -143,6 +143,7 @@ def _parser() -> argparse.ArgumentParser:
     linearise.add_parser(commands)
     sweep.add_parser(commands)
     map_command.add_parser(commands)
+    gait.add_parser(commands)
     eds.add_parser(commands)
     export.add_parser(commands)
     estimators.add_parser(commands)

@@ -22,6 +22,7 @@ from robots.quantities import (
     TorquePerRadian,
     TorquePerRate,
 )
+from robots.terrain import Block
 
 
 class TerrainConfig(Config):
@@ -30,6 +31,7 @@ class TerrainConfig(Config):
     kind: Literal["flat", "split"] = "flat"
     panel_angle: Annotated[Radians, Field(ge=0, lt=1.4)] = 0.0  # of each panel from the horizontal
     friction: Gain = 0.6  # Coulomb coefficient; rubber on wood panels
+    blocks: tuple[Block, ...] = ()  # on flat ground
 
 
 class StanceConfig(Config):

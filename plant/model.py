@@ -216,6 +216,7 @@ def _terrain(spec: mujoco.MjSpec, robot: Robot, stance: Stance, terrain: Terrain
             raise TerrainError("flat ground needs both feet at one height")
         floor = float(stance.feet[0, 2]) - robot.foot_radius
         surfaces.append(visuals.floor(spec, floor))
+        surfaces += [visuals.block(spec, n, block, floor) for n, block in enumerate(terrain.blocks)]
     else:
         if stance.feet[0, 0] <= stance.feet[1, 0]:
             raise TerrainError("split terrain needs the right foot in front: set stance.feet_apart > 0")

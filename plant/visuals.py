@@ -9,6 +9,7 @@ import numpy as np
 
 from plant.stance import Array, Stance
 from robots.description import Joint, MotionCapture, Robot
+from robots.terrain import Block
 
 CAMERA = "side"
 
@@ -75,6 +76,15 @@ def floor(spec: mujoco.MjSpec, height: float) -> Any:
     return spec.worldbody.add_geom(
         name="floor", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0.0, 0.0, 0.5], pos=[0.0, 0.0, height],
         material="tiles",
+    )  # fmt: skip
+
+
+def block(spec: mujoco.MjSpec, number: int, block: Block, floor: float) -> Any:
+    """A wooden block on the ``floor`` [m]."""
+    size = [0.5 * (block.end - block.start), 0.45, 0.5 * block.height]
+    return spec.worldbody.add_geom(
+        name=f"block_{number}", type=mujoco.mjtGeom.mjGEOM_BOX, size=size,
+        pos=[0.5 * (block.start + block.end), 0.0, floor + 0.5 * block.height], rgba=_WOOD,
     )  # fmt: skip
 
 
