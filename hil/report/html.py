@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 import html
+import os
+from pathlib import Path
+from typing import NamedTuple
+
+VIDEO_FILE = "video.mp4"  # in a run's directory
 
 _STYLE = """
 body{font:16px/1.5 system-ui,sans-serif;margin:0 auto;max-width:60rem;padding:1rem;
 color:#1a1a1a;background:#fff}
-h1{font-size:1.5rem}h2{font-size:1.1rem;margin:2rem 0 0}img{width:100%;height:auto}
+h1{font-size:1.5rem}h2{font-size:1.1rem;margin:2rem 0 0}img,video{width:100%;height:auto}
 .caption{margin:0 0 .3rem;color:#555;font-size:.9rem}
 .verdict{padding:.7rem 1rem;font-size:1.1rem}
 .stable{background:#e3f4e4;border-left:.5rem solid #2e8b3a}
@@ -22,12 +27,23 @@ pre{overflow-x:auto;font-size:.8rem}
 """
 
 
-def document(title: str, body: str) -> str:
-    """A whole page; ``body`` is HTML."""
+class Link(NamedTuple):
+    """From one page to another. ``place``: relative to the page's directory."""
+
+    place: str
+    text: str
+
+    def __str__(self) -> str:
+        return f'<a href="{html.escape(self.place)}">{html.escape(self.text)}</a>'
+
+
+def document(title: str, body: str, part_of: Link | None = None) -> str:
+    """A whole page; ``body`` is HTML. ``part_of``: the page above it."""
+    above = "" if part_of is None else f"<p class=caption>part of {part_of}</p>\n"
     return f"""<!doctype html><html lang=en><meta charset=utf-8>
 <meta name=viewport content="width=device-width,initial-scale=1"><title>{html.escape(title)}</title>
 <style>{_STYLE}</style>
-<h1>{html.escape(title)}</h1>
+{above}<h1>{html.escape(title)}</h1>
 {body}"""
 
 
@@ -47,3 +63,17 @@ def verdict(kind: str, sentence: str) -> str:
 def folded(summary: str, text: str) -> str:
     """Plain text that is shown when asked for."""
     return f"<details><summary>{html.escape(summary)}</summary>\n<pre>{html.escape(text)}</pre></details>\n"
+
+
+def run_link(directory: Path, run: Path, text: str) -> str:
+    """From a page in ``directory`` to the report of the run recorded in ``run``, or to its files if it has none."""
+    target = run / "report.html"
+    return str(Link(os.path.relpath(target if target.exists() else run, directory), text))
+
+
+def film(directory: Path, run: Path | None = None) -> str:
+    """The video of ``run`` (default: the page's own ``directory``) with its controls; nothing if there is none."""
+    video = (run or directory) / VIDEO_FILE
+    if not video.exists():
+        return ""
+    return f'<video controls preload=metadata src="{html.escape(os.path.relpath(video, directory))}"></video>'
