@@ -7,6 +7,7 @@ import os
 from pathlib import Path
 from typing import NamedTuple
 
+BEYOND = ' class="beyond"'  # of a row or cell whose value is beyond its limit
 VIDEO_FILE = "video.mp4"  # in a run's directory
 
 _STYLE = """
@@ -20,7 +21,7 @@ h1{font-size:1.5rem}h2{font-size:1.1rem;margin:2rem 0 0}img,video{width:100%;hei
 table{border-collapse:collapse;margin-top:.5rem}
 td,th{padding:.2rem .8rem;text-align:left;border-bottom:1px solid #ddd}
 td.n{text-align:right;font-variant-numeric:tabular-nums}
-tr.beyond td{color:#c0392b;font-weight:600}
+tr.beyond td,td.beyond{color:#c0392b;font-weight:600}
 .wide{overflow-x:auto}.wide td{white-space:nowrap}
 pre{overflow-x:auto;font-size:.8rem}
 @media print{details{display:none}img{break-inside:avoid}}

@@ -8,9 +8,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from hil.analysis.numbers import Number, key_numbers
 from hil.record.signals import Signals
-from hil.report.html import Link, document, film, folded, picture, verdict
-from hil.report.numbers import Number, key_numbers
+from hil.report.html import BEYOND, Link, document, film, folded, picture, verdict
 from robots import description
 
 
@@ -42,7 +42,7 @@ def _numbers(record: Mapping[str, Any]) -> str:
     numbers = [*key_numbers(record["metrics"], record["configuration"])]
     numbers.append(Number("real-time factor", record["realtime_factor"]))
     rows = "".join(
-        f"<tr{' class="beyond"' if n.beyond else ''}><td>{html.escape(n.name)}</td><td class=n>{n.shown}</td>"
+        f"<tr{BEYOND if n.beyond else ''}><td>{html.escape(n.name)}</td><td class=n>{n.shown}</td>"
         f"<td>{n.unit}</td><td>{n.bound}</td></tr>"
         for n in numbers
     )
