@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,6 +14,7 @@ from hil.record.recorded import Recorded, read_run
 from hil.scenario import to_toml
 
 _NAMES = ("name", "description")  # which change nothing
+_LONG = re.compile(r"\d*\.\d+(?:e[-+]?\d+)?")
 _LABELLED = 3  # most differing keys that fit into a legend
 
 
@@ -93,7 +95,13 @@ def _differing(runs: Sequence[Recorded]) -> dict[str, tuple[str | None, ...]]:
     every = [_as_lines(run) for run in runs]
     keys = dict.fromkeys(key for lines in every for key in lines)
     values = {key: tuple(lines.get(key) for lines in every) for key in keys}
-    return {key: row for key, row in values.items() if len(set(row)) > 1}
+    return {key: _short(row) for key, row in values.items() if len(set(row)) > 1}
+
+
+def _short(row: tuple[str | None, ...]) -> tuple[str | None, ...]:
+    """With six digits of each number, if that leaves the values as different as they are."""
+    short = tuple(v if v is None else _LONG.sub(lambda m: f"{float(m[0]):.6g}", v) for v in row)
+    return short if len(set(short)) == len(set(row)) else row
 
 
 def _as_lines(run: Recorded) -> dict[str, str]:

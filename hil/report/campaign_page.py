@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import html
-import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 from xml.etree import ElementTree
 
-from hil.report.html import document, folded, verdict
+from hil.report.html import document, film, folded, run_link, verdict
 
 if TYPE_CHECKING:
     from hil.lab.campaign import Result
@@ -45,9 +44,7 @@ def _order(result: Result) -> int:
 def _row(directory: Path, result: Result) -> str:
     seen = html.escape(result.sentence)
     if result.record is not None:
-        page = result.record / "report.html"
-        target = page if page.exists() else result.record
-        seen = f'<a href="{html.escape(os.path.relpath(target, directory))}">{seen}</a>'
+        seen = run_link(directory, result.record, result.sentence) + film(directory, result.record)
     if result.weakness:
         seen += f"<br><i>{html.escape(result.weakness)}</i>"
     kind = " class=beyond" if result.status == "failed" else ""

@@ -13,11 +13,12 @@ import numpy as np
 from hil.analysis.comparison import NumberRow, SideBySide
 from hil.analysis.derived import Derived
 from hil.record.recorded import Recorded
-from hil.report.drawing import LIMIT, draw_limit, draw_line, encoded, new_figure
-from hil.report.html import Link, document, film, run_link
+from hil.report.drawing import LIMIT, draw_line, encoded, new_figure
+from hil.report.html import Link, document, film, picture, run_link
 
 _COLOURS = ("tab:blue", "tab:orange", "tab:green", "tab:purple", "tab:brown", "tab:cyan", "tab:olive", "tab:pink")
 _STYLES = ("-", "--", "-.")  # where the colours have been used up
+_NEAR = 2.5  # times the data: limits further away are only named
 _MARK: dict[str, Any] = {"marker": "x", "markersize": 7, "markeredgewidth": 2.0, "linestyle": "none"}
 
 
@@ -31,10 +32,7 @@ def write_comparison(directory: Path, found: SideBySide, pictures: bool = False,
     for name, title, caption, figure in _Overlay(found).figures():
         if pictures:
             figure.savefig(directory / f"{name}.png", dpi=150)
-        shown.append(
-            f"<h2>{html.escape(title)}</h2><p class=caption>{html.escape(caption)}</p>"
-            f'<img alt="{html.escape(title)}" src="data:image/png;base64,{encoded(figure)}">'
-        )
+        shown.append(picture(title, caption, encoded(figure)))
     body = f"""{_runs(directory, found)}
 <h2>What differs</h2>{_differing(found)}
 <h2>Key numbers</h2><p class=caption>In brackets: less that of A. Red: beyond the run's own limit.</p>{_numbers(found)}
@@ -59,7 +57,7 @@ def _runs(directory: Path, found: SideBySide) -> str:
         link = run_link(directory, run.directory, run.directory.name)
         cells = [swatch, link, html.escape(run.scenario.name), str(run.seed), f"{run.end:.2f} s",
                  f"{run.verdict}: {html.escape(run.reason)}"]  # fmt: skip
-        rows.append([("", cell) for cell in cells])
+        rows.append([*(("", cell) for cell in cells), (" class=text", f"{run.verdict}: {html.escape(run.reason)}")])
     return _table(("", "run", "scenario", "seed", "simulated", "verdict"), rows)
 
 
@@ -135,14 +133,17 @@ class _Overlay:
             self._force(),
         )
         yield "torso", "Torso", "True roll and pitch, less their references.", self._torso()
-        yield "torques", "Joint torques", "Sensed at the joint.", self._torques()
+        yield (
+            "torques",
+            "Joint torques",
+            "Sensed at the joint. The drives' limits are drawn where they are near.",
+            self._torques(),
+        )
         yield "friction", "Use of friction", "Tangential over normal force, the larger of the feet's.", self._friction()
         yield (
             "buses",
             "Buses",
-            (
-                "Left: load of the fullest bus. Right: from a sample to the command computed from it, slowest joint."
-            ),
+            ("Left: load of the fullest bus. Right: from a sample to the command computed from it, slowest joint."),
             self._buses(),
         )
 
@@ -157,18 +158,24 @@ class _Overlay:
     def _curves(
         self, axes: Any, ylabel: str, signal: Callable[[Recorded, Derived], tuple[np.ndarray, np.ndarray] | None]
     ) -> None:
-        """Draw ``signal`` of every run over time, its name once in the figure's legend; dress the axes."""
+        """Draw ``signal`` of every run over time, scaled by what comes after settling; dress the axes."""
+        settle = max(run.scenario.limits.settle for run, _ in self.runs)
+        late = [np.empty(0)]
         for index, (run, derived) in enumerate(self.runs):
             pair = signal(run, derived) if len(derived.world) and len(derived.controller) else None
             if pair is None or not np.isfinite(pair[1]).any():
                 continue
             times, values = pair
             draw_line(axes, times, values, **self.looks[index])
+            late.append(values[(times >= run.scenario.limits.settle) & np.isfinite(values)])
             if run.verdict == "unstable":
                 last = np.flatnonzero(np.isfinite(values))[-1]
                 axes.plot(times[last], values[last], color=self.looks[index]["color"], clip_on=False, **_MARK)
         axes.set(xlabel="t [s]", ylabel=ylabel, xlim=(0.0, self.end))
-        settle = max(run.scenario.limits.settle for run, _ in self.runs)
+        shown = np.concatenate(late)
+        if len(shown):
+            room = 0.1 * (np.ptp(shown) or abs(shown[0]) or 1.0)
+            axes.set_ylim(shown.min() - room, shown.max() + room)
         axes.axvspan(0.0, min(settle, self.end), color="0.93", zorder=0)
 
     def _legend(self, figure: Any) -> Any:
@@ -182,14 +189,14 @@ class _Overlay:
     def _limits(self, axes: Any, values: Sequence[float], label: str) -> None:
         """Limits of all runs: one line if they are equal."""
         for value in dict.fromkeys(values):
-            draw_limit(axes, value, label)
+            _limit(axes, value, label)
         axes.legend(fontsize=8, loc="upper right")
 
     def _com(self) -> Any:
         figure, axes = new_figure(height=3.6)
         self._curves(axes, "CoM error [mm]", lambda _, d: (d.controller.seconds, 1e3 * d.com_distance))
         axes.set_ylim(bottom=0.0)
-        self._limits(axes, [1e3 * run.scenario.limits.com_error for run, _ in self.runs], "limit [mm]")
+        self._limits(axes, [1e3 * run.scenario.limits.com_error for run, _ in self.runs], "limit")
         return self._legend(figure)
 
     def _force(self) -> Any:
@@ -216,7 +223,7 @@ class _Overlay:
 
             self._curves(axes, f"{name} error [°]", error)
             limits = [np.degrees(run.scenario.limits.orientation_error) for run, _ in self.runs]
-            self._limits(axes, limits, "limit ± [°]")
+            self._limits(axes, limits, "limit ±")
         return self._legend(figure)
 
     def _torques(self) -> Any:
@@ -232,8 +239,8 @@ class _Overlay:
             self._curves(axes, "torque [N m]", torque)
             axes.set_title(joint.replace("_", " "), fontsize=10)
             for limit in dict.fromkeys(run.scenario.firmware.torque_limit for run, _ in self.runs):
-                draw_limit(axes, limit, "")
-                draw_limit(axes, -limit, "")
+                _limit(axes, limit, "")
+                _limit(axes, -limit, "")
         return self._legend(figure)
 
     def _friction(self) -> Any:
@@ -270,6 +277,17 @@ class _Overlay:
         load.set_ylim(0, 115)
         self._limits(load, [100.0], "capacity")
         self._curves(trip, "round trip [ms]", slowest)
-        self._limits(trip, [1e3 / run.scenario.controller.rate for run, _ in self.runs], "servo period [ms]")
+        self._limits(trip, [1e3 / run.scenario.controller.rate for run, _ in self.runs], "servo period")
         trip.set_ylim(bottom=0.0)
         return self._legend(figure)
+
+
+def _limit(axes: Any, value: float, label: str) -> None:
+    """A limit as a line, if it is near what is shown; else it is only named."""
+    low, high = axes.get_ylim()
+    text = f"{label} {value:.3g}" if label else None
+    if abs(value) <= _NEAR * max(abs(low), abs(high)):
+        axes.axhline(value, **LIMIT, label=text)
+        axes.set_ylim(min(low, 1.1 * value), max(high, 1.1 * value))
+    elif label:
+        axes.plot([], [], **LIMIT, label=f"{text}, beyond the axis")

@@ -23,8 +23,14 @@ td,th{padding:.2rem .8rem;text-align:left;border-bottom:1px solid #ddd}
 td.n{text-align:right;font-variant-numeric:tabular-nums}
 tr.beyond td,td.beyond{color:#c0392b;font-weight:600}
 .wide{overflow-x:auto}.wide td{white-space:nowrap}
+.wide td:first-child,.wide th:first-child{position:sticky;left:0;background:#fff}
+.wide td.text{white-space:normal;min-width:16rem}
+ul,ol,pre,code{overflow-wrap:anywhere}
 pre{overflow-x:auto;font-size:.8rem}
-@media print{details{display:none}img{break-inside:avoid}}
+@media(max-width:40rem){.plot{overflow-x:auto}.plot img{width:44rem;max-width:none}td,th{padding:.2rem .4rem}}
+@media print{details,video{display:none}section,tr{break-inside:avoid}h2{break-after:avoid}
+body{max-width:none;padding:0;font-size:11pt}.wide{font-size:8pt;overflow:visible}.wide td{white-space:normal}
+.verdict,td.beyond,tr.beyond td{print-color-adjust:exact}}
 """
 
 
@@ -51,8 +57,8 @@ def document(title: str, body: str, part_of: Link | None = None) -> str:
 def picture(title: str, caption: str, png: str) -> str:
     """A heading, what is to be seen, and a picture (PNG in base64)."""
     return (
-        f"<h2>{html.escape(title)}</h2><p class=caption>{html.escape(caption)}</p>"
-        f'<img alt="{html.escape(title)}" src="data:image/png;base64,{png}">'
+        f"<section><h2>{html.escape(title)}</h2><p class=caption>{html.escape(caption)}</p>"
+        f'<div class=plot><img alt="{html.escape(title)}" src="data:image/png;base64,{png}"></div></section>'
     )
 
 

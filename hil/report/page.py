@@ -68,6 +68,7 @@ def write_report(
 ) -> Path:
     """Write ``report.html`` into ``directory`` and return its path. ``part_of``: the page that the run belongs to."""
     from hil.analysis.bus_statistics import statistics_table
+    from hil.report.last_seconds import draw_last_seconds
     from hil.report.plots import draw
     from hil.scenario import to_toml
 
@@ -75,6 +76,8 @@ def write_report(
     injected += [f"{i['key']} = {i['value']} from {i['time_s']:.3f} s on" for i in record["injected"]]
     items = "".join(f"<li>{html.escape(text)}</li>" for text in injected) or "<li>nothing</li>"
     plots = "".join(picture(*plot) for plot in draw(record, tables, directory))
+    robot = description.load(record["configuration"]["robot"])
+    plots += "".join(picture(*plot) for plot in draw_last_seconds(directory, tables, robot))
     title = f"{record['scenario']}, seed {record['seed']}"
     about = html.escape(record["configuration"]["description"])
     rest = json.dumps({key: record[key] for key in ("versions", "metrics")}, indent=1)

@@ -18,6 +18,19 @@ FPS = 30
 _SIZE = (960, 544)
 
 
+def require_rendering() -> None:
+    """Raise EmulationError, before any work is done in vain, where there is no off-screen OpenGL."""
+    import mujoco
+
+    from plant.render import RenderError, frames
+
+    try:
+        for _ in frames(mujoco.MjModel.from_xml_string("<mujoco/>"), [np.empty(0)], 8, 8):
+            pass
+    except RenderError as error:
+        raise EmulationError(f"no video: {error}") from None
+
+
 def write_video(directory: Path, scenario: Scenario, table: Signals) -> Path:
     """Encode ``video.mp4`` (H.264) of a run of ``scenario`` at the speed of simulated time.
 
