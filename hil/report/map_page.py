@@ -27,14 +27,14 @@ _SURE = 0.99  # of ±1: the band's edges run through the last places that are de
 Curve = Sequence[tuple[float, float]]  # points of a boundary, SI
 
 
-def write_map(directory: Path, found: StabilityMap, predicted: Sequence[Curve] = ()) -> Path:
+def write_map(directory: Path, found: StabilityMap, predicted: Sequence[Curve] = (), more: str = "") -> Path:
     """Write ``map.png`` and ``map.html`` into ``directory``; returns the page's path. ``predicted``: boundaries to draw
-    beside the one found."""
+    beside the one found. ``more``: HTML for the end of the page."""
     figure, boundary, band = _draw(found, predicted)
     figure.savefig(directory / "map.png", dpi=200)
     plt.close(figure)
     path = directory / "map.html"
-    path.write_text(_page(found, boundary, band, predicted), encoding="utf-8")
+    path.write_text(_page(found, boundary, band, predicted, more), encoding="utf-8")
     return path
 
 
@@ -126,7 +126,9 @@ def _unit(values: np.ndarray, log: bool) -> np.ndarray:
     return (values - values.min()) / np.ptp(values)
 
 
-def _page(found: StabilityMap, boundary: list[np.ndarray], band: list[np.ndarray], predicted: Sequence[Curve]) -> str:
+def _page(
+    found: StabilityMap, boundary: list[np.ndarray], band: list[np.ndarray], predicted: Sequence[Curve], more: str
+) -> str:
     import plotly.graph_objects as go
     import plotly.io as pio
 
@@ -170,4 +172,4 @@ def _page(found: StabilityMap, boundary: list[np.ndarray], band: list[np.ndarray
                          height=560)  # fmt: skip
     config = {"responsive": True, "displaylogo": False}
     drawing = pio.to_html(figure, full_html=False, include_plotlyjs=True, config=config)
-    return document(f"{found.scenario}: stability", f"<p>{html.escape(caption(found))}</p>{drawing}")
+    return document(f"{found.scenario}: stability", f"<p>{html.escape(caption(found))}</p>{drawing}{more}")
