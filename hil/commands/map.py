@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from hil.lab.quantity import Quantity
 
 _SETTLED = 5.0  # s: the linear loop is that of a robot that stands, whenever the sweep's values change
-_ROWS = 9  # of a predicted curve over samples, which have no rows of their own
+_ROWS = 9  # of a predicted curve, if the sweep has fewer
 
 
 def add_parser(commands: Any) -> None:
@@ -145,10 +145,12 @@ def _predicted_over(sweep: Places) -> tuple[list[Any], list[Agreement], Quantity
         _check(q)
     columns = [sorted({float(place[n]) for place in sweep.rows}) for n in ((1, 0) if swapped else (0, 1))]
     rows = columns[1]
+    log = sweep.logs[0 if swapped else 1]
     if not sweep.grid:
-        log = sweep.logs[0 if swapped else 1]
         spread = np.geomspace if log else np.linspace
         rows = spread(rows[0], rows[-1], _ROWS).tolist()
+    elif across.kind != "integer" and len(rows) > 1:
+        rows = _between(rows, log, -(-(_ROWS - 1) // (len(rows) - 1)))
     scenario = _held(sweep)
     with Counter("the linear loop", 8 * len(rows), "linearisations", sys.stderr) as progress:
         curves = predicted_curves(
@@ -156,6 +158,17 @@ def _predicted_over(sweep: Places) -> tuple[list[Any], list[Agreement], Quantity
         )
     told = [row for curve in curves for row in agreements(sweep, curve)] if sweep.grid else []
     return [part for curve in curves for part in curve.segments(not swapped)], told, along, across
+
+
+def _between(values: list[float], log: bool, parts: int) -> list[float]:
+    """``values``, and more of them between, so that each gap has ``parts``."""
+    import numpy as np
+
+    found = [values[0]]
+    for low, high in zip(values, values[1:], strict=False):
+        inner = (np.geomspace if log else np.linspace)(low, high, parts + 1)[1:-1]
+        found += [*inner.tolist(), high]
+    return found
 
 
 def _check(quantity: Quantity) -> None:

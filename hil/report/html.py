@@ -18,17 +18,17 @@ h1{font-size:1.5rem}h2{font-size:1.1rem;margin:2rem 0 0}img,video{width:100%;hei
 .verdict{padding:.7rem 1rem;font-size:1.1rem}
 .stable{background:#e3f4e4;border-left:.5rem solid #2e8b3a}
 .unstable,.failed{background:#fbe5e3;border-left:.5rem solid #c0392b}
-table{border-collapse:collapse;margin-top:.5rem}
+table{border-collapse:separate;border-spacing:0;margin-top:.5rem}
 td,th{padding:.2rem .8rem;text-align:left;border-bottom:1px solid #ddd}
 td.n{text-align:right;font-variant-numeric:tabular-nums}
 tr.beyond td,td.beyond{color:#c0392b;font-weight:600}
 .wide{overflow-x:auto}.wide td{white-space:nowrap}
 .wide td:first-child,.wide th:first-child{position:sticky;left:0;background:#fff}
-.wide td.text{white-space:normal;min-width:16rem}
+.wide td.text{white-space:normal;min-width:14rem}.wide td.name{white-space:normal;min-width:8rem}
 ul,ol,pre,code{overflow-wrap:anywhere}
 pre{overflow-x:auto;font-size:.8rem}
 @media(max-width:40rem){.plot{overflow-x:auto}.plot img{width:44rem;max-width:none}td,th{padding:.2rem .4rem}}
-@media print{details,video{display:none}section,tr{break-inside:avoid}h2{break-after:avoid}
+@media print{details,video,.modebar{display:none!important}section,tr{break-inside:avoid}h2{break-after:avoid}
 body{max-width:none;padding:0;font-size:11pt}.wide{font-size:8pt;overflow:visible}.wide td{white-space:normal}
 .verdict,td.beyond,tr.beyond td{print-color-adjust:exact}}
 """
@@ -62,9 +62,9 @@ def picture(title: str, caption: str, png: str) -> str:
     )
 
 
-def verdict(kind: str, sentence: str) -> str:
-    """The coloured line at the top: ``kind`` is stable, unstable or failed."""
-    return f'<p class="verdict {kind}"><b>{kind}</b>: {html.escape(sentence)}</p>'
+def verdict(kind: str, sentence: str, said: str | None = None) -> str:
+    """The coloured line at the top: ``kind`` is stable, unstable or failed; ``said``: what is written instead of it."""
+    return f'<p class="verdict {kind}"><b>{html.escape(said or kind)}</b>: {html.escape(sentence)}</p>'
 
 
 def folded(summary: str, text: str) -> str:

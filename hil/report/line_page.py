@@ -164,7 +164,7 @@ def _page(found: StabilityLine, predicted: float | None, more: str) -> str:
     figure.add_trace(
         go.Scatter(
             x=x, y=share, mode="lines+markers", text=told, hoverinfo="text", line={"color": "#1f77b4"},
-            name="share of stable runs, 95 % intervals", marker={"size": 9},
+            showlegend=False, marker={"size": 9},
             error_y={"type": "data", "symmetric": False, "array": high - share, "arrayminus": share - low},
         ), row=1, col=1,
     )  # fmt: skip
@@ -199,8 +199,8 @@ def _page(found: StabilityLine, predicted: float | None, more: str) -> str:
     figure.update_yaxes(range=[-0.05, 1.05], row=1, col=1)
     figure.update_annotations(font_size=13)
     figure.update_layout(
-        template="plotly_white", height=300 + 190 * (rows - 1), margin={"t": 30, "r": 15, "l": 45},
-        legend={"orientation": "h", "yanchor": "bottom", "y": 1.02},
+        template="plotly_white", height=300 + 190 * (rows - 1), margin={"t": 100, "r": 15, "l": 45},
+        legend={"orientation": "h", "yanchor": "bottom", "y": 1.0, "yref": "paper", "x": 0.0},
     )  # fmt: skip
     config = {"responsive": True, "displaylogo": False}
     drawing = pio.to_html(figure, full_html=False, include_plotlyjs=True, config=config)
@@ -208,6 +208,7 @@ def _page(found: StabilityLine, predicted: float | None, more: str) -> str:
     if predicted is not None:
         lines += f"<li>the linear loop becomes unstable at {html.escape(shown(predicted))} (dashed)</li>"
     legend = (
+        "Bars: 95 % intervals (Clopper and Pearson). "
         "Black: half of the runs are stable; grey: up to the values whose side the seeds tell. Dotted red: limits. "
         "Metrics of a run that failed are those up to its end."
     )

@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from hil.lab.linear.curve import Critical, Curve
-from hil.lab.linear.prediction import Prediction, parting
+from hil.lab.linear.prediction import STICTION, Prediction, parting
 from hil.lab.margin import Search
 from hil.lab.places import Place, Places, crossings
 from hil.lab.quantity import Quantity
@@ -64,7 +64,10 @@ def agreement(
             why = f"stable up to {along.shown(inside[-1][index])}, where the sweep ends"
     if point.value is None or measured is None:
         measured_text = why or f"found at {along.shown(measured or 0.0)}, by {reasons[0]}"
-        sentence = measured_text if point.value is not None else f"predicted: {point.why}; {measured_text}"
+        sentence = measured_text if point.value is not None else f"predicted: {point.why}; runs: {measured_text}"
+        stands = inside and found.share(inside[0]) >= 0.5
+        if point.nowhere and stands and found.scenario.world.friction_scale > 0.0:
+            sentence += f": {STICTION}"
     else:
         search = Search(found.scenario, along, found.at, start, end)
         apart = parting(search, Prediction(point.value, None, ()), measured, reasons, spacing)

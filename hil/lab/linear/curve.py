@@ -17,6 +17,7 @@ from hil.lab.linear.operating_point import OperatingPoint
 from hil.lab.quantity import Quantity
 from hil.scenario import Scenario
 
+_NOWHERE = "unstable at {start} already"
 _FINENESS = 200  # the range over this is how fine a critical value is
 _FIRST = 16  # the range over this: the first step of a search that has a guess
 
@@ -27,13 +28,14 @@ Loop = Callable[[float], Linearisation]  # the linearised loop at a value of the
 @dataclass(frozen=True)
 class Critical:
     """across: the value of the other quantity. value: where the loop becomes unstable along the one; None if it does
-    not, and then why. frequency [Hz], mode: of what grows there."""
+    not, and then why; nowhere: because it is unstable from the start. frequency [Hz], mode: of what grows there."""
 
     across: float
     value: float | None
     why: str = ""
     frequency: float | None = None
     mode: str = ""
+    nowhere: bool = False
 
 
 @dataclass(frozen=True)
@@ -147,7 +149,8 @@ def critical(
     try:
         bracket = _bracket(growth, start, end, span / _FIRST, guess)
         if isinstance(bracket, str):
-            return Critical(across, None, bracket.format(start=along.shown(start), end=along.shown(end)))
+            why = bracket.format(start=along.shown(start), end=along.shown(end))
+            return Critical(across, None, why, nowhere=bracket is _NOWHERE)
         inner, outer = bracket
         value = inner if inner == outer else float(brentq(growth, inner, outer, xtol=0.5 * abs(span) / _FINENESS))
     except UserError as error:
@@ -164,7 +167,7 @@ def _bracket(
     """A stable and an unstable value, the latter further from ``start``; or why there are none."""
     if guess is None:
         if growth(start) >= 0.0:
-            return "unstable at {start} already"
+            return _NOWHERE
         inner = start
         for share in (0.125, 0.25, 0.5, 1.0):  # not at once to the end: what is far out need not be the first
             outer = start + share * (end - start)
@@ -187,4 +190,4 @@ def _bracket(
         if growth(nearer) < 0.0:
             return nearer, value
         value, step = nearer, 2.0 * step
-    return "unstable at {start} already"
+    return _NOWHERE

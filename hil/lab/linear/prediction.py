@@ -66,6 +66,7 @@ def predicted(search: Search, done: Callable[[Mapping[float, Step]], None] = lam
         return predict(point, search, done)
 
 
+STICTION = "dry friction holds small oscillations that the linear loop lets grow"
 # How a run fails, by how its reason begins.
 _KINDS = {
     "foot slipped": "contact lost",
@@ -90,7 +91,7 @@ def parting(
     outwards = apart if search.far is None or search.far > search.start else -apart
     told = search.quantity.shown(abs(apart))
     if outwards > 0.0 and search.scenario.world.friction_scale > 0.0:
-        return f"{told} beyond the prediction: dry friction holds small oscillations that the linear loop lets grow"
+        return f"{told} beyond the prediction: {STICTION}"
     common = max(set(reasons), key=reasons.count) if reasons else "unknown"
     kind = next((f"{kind}: " for begins, kind in _KINDS.items() if common.startswith(begins)), "")
     side = "beyond" if outwards > 0.0 else "short of"
