@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -165,7 +166,7 @@ def _between(values: list[float], log: bool, parts: int) -> list[float]:
     import numpy as np
 
     found = [values[0]]
-    for low, high in zip(values, values[1:], strict=False):
+    for low, high in pairwise(values):
         inner = (np.geomspace if log else np.linspace)(low, high, parts + 1)[1:-1]
         found += [*inner.tolist(), high]
     return found

@@ -24,7 +24,8 @@ from hil.report.margin_page import display_unit
 _COLOURS = "RdYlBu"  # told apart by the colour-blind, and in grey
 _BOUNDARY: dict[str, Any] = {"color": "k", "linewidth": 1.6}
 _BAND: dict[str, Any] = {"color": "k", "linewidth": 0.9, "linestyle": ":"}
-_PREDICTED: dict[str, Any] = {"color": "tab:purple", "linestyle": "--", "linewidth": 2.0, "marker": "o", "markersize": 4}
+_PREDICTED: dict[str, Any] = {"color": "tab:purple", "linestyle": "--", "linewidth": 2.0, "marker": "o",
+                              "markersize": 4}  # fmt: skip
 _SURE = 0.99  # of ±1: the band's edges run through the last places that are decided
 Curve = Sequence[tuple[float, float]]  # points of a boundary, SI
 
@@ -142,7 +143,8 @@ def _page(
         f"{share * n:.0f} of {n} stable<br>{html.escape(reason)}"
         for a, b, share, n, reason in zip(found.x, found.y, found.share, found.runs, found.reasons, strict=True)
     ]
-    shared: dict[str, Any] = {"colorscale": _COLOURS, "showscale": True, "colorbar": {"title": "share stable", "thickness": 12}}
+    bar = {"title": "share stable", "thickness": 12}
+    shared: dict[str, Any] = {"colorscale": _COLOURS, "showscale": True, "colorbar": bar}
     figure = go.Figure()
     if found.shape is not None:
         figure.add_heatmap(
@@ -176,8 +178,8 @@ def _page(
         )  # fmt: skip
     figure.update_xaxes(title=x_label, type="log" if found.x_log else "linear")
     figure.update_yaxes(title=y_label, type="log" if found.y_log else "linear")
-    figure.update_layout(template="plotly_white", legend={"orientation": "h", "y": -0.2}, margin={"t": 45, "r": 10, "l": 45},
-                         height=560)  # fmt: skip
+    figure.update_layout(template="plotly_white", legend={"orientation": "h", "y": -0.2}, height=560,
+                         margin={"t": 45, "r": 10, "l": 45})  # fmt: skip
     config = {"responsive": True, "displaylogo": False}
     drawing = pio.to_html(figure, full_html=False, include_plotlyjs=True, config=config)
     return document(f"{found.scenario}: stability", f"<p>{html.escape(caption(found))}</p>{drawing}{more}")
