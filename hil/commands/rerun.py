@@ -1,4 +1,4 @@
-"""``hil rerun DIR``: a recorded run as a file for the Rerun viewer: signals, the robot as it moved, its feet's forces."""
+"""``hil rerun DIR``: a recorded run for the Rerun viewer: signals, the robot as it moved, the forces at its feet."""
 
 from __future__ import annotations
 

@@ -21,8 +21,8 @@ from hil.report.scene import scene_of
 
 TIMELINE = "simulation_time"
 FPS = 60
-METRES_PER_NEWTON = 1e-3  # of the arrows
-_PLANE = 2.0  # m, half of what is drawn of one that has no end
+METRES_PER_NEWTON = 2e-3  # of the arrows
+_PLANE = 1.0  # m, half of what is drawn of one that has no end
 
 
 def write_rerun(path: Path, run: Recorded) -> None:
@@ -81,7 +81,7 @@ def _robot(recording: Any, run: Recorded) -> None:
     for foot in [name[:-2] for name in world.members("foot") if name.endswith(".x")]:
         forces = -world.group(f"contact.{foot}")[rows]  # of the ground on the foot: they point to where one sees them
         arrows = rr.Arrows3D.columns(origins=world.group(f"foot.{foot}")[rows], vectors=METRES_PER_NEWTON * forces)
-        recording.log(f"/world3d/forces/{foot}", rr.Arrows3D.from_fields(colors=[[40, 160, 60]]), static=True)
+        recording.log(f"/world3d/forces/{foot}", rr.Arrows3D.from_fields(colors=[[40, 160, 60]], radii=[0.008]), static=True)
         recording.send_columns(f"/world3d/forces/{foot}", times, arrows)
     com = rr.Points3D.columns(positions=world.group("com")[rows])
     recording.log("/world3d/com", rr.Points3D.from_fields(radii=[0.02], colors=[[230, 190, 30]]), static=True)
