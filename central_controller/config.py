@@ -46,6 +46,7 @@ class PathConfig(Config):
 class ControllerConfig(Config):
     """The central controller: timing, model, tasks."""
 
+    behaviour: Literal["stand"] = "stand"
     rate: Hertz = 1500.0
     phase: Seconds = 270e-6  # of its tick behind the joints' sample: all drive states have arrived by then
     compute_time: Seconds = 200e-6  # from its tick to its commands (Kim 2018 §7.1.1: 0.2 ms for WBOSC)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import struct
 from collections.abc import Callable
-from enum import IntEnum
 from typing import Any
 
 import casadi as ca
@@ -13,13 +12,13 @@ import numpy as np
 
 from bus import messages
 from bus.messages import Controlword, GainSet, Mode, Setpoint, State, Statusword
+from central_controller.behaviours import BEHAVIOURS
+from central_controller.behaviours.behaviour import Behaviour, Phase, Workspace
 from central_controller.binding import Bound
 from central_controller.config import ControllerConfig
 from central_controller.estimator import Hanging, filter_constants
-from central_controller.law import ORIENTATION, control, memory_size, predict
+from central_controller.law import ORIENTATION, estimate, predict
 from central_controller.model import RobotModel
-from central_controller.path import path_constants
-from central_controller.tasks import task_gains
 from robots import imu
 from robots.description import Robot
 
@@ -28,15 +27,6 @@ _FIELDS = len(State._fields)
 _WORD, _POSITION, _VELOCITY, _TORQUE = map(State._fields.index, ("statusword", "position", "velocity", "torque"))
 _RESYNC_NS = 50_000_000  # older states than the one known are ignored for no longer than this
 _TORQUE_LIMIT = 500.0  # N m: the drives' own limits are lower
-
-
-class Phase(IntEnum):
-    """What the controller is doing, in order."""
-
-    OFF = 0  # waiting for the first measurements
-    ENABLING = 1  # walking the drives through their states; they hold the joints while the robot hangs still
-    RAMP = 2  # from the torques that held the joints to those of the control law
-    ON = 3
 
 
 _MASK = Statusword.MASK
@@ -49,16 +39,12 @@ _WHILE_ENABLING = {
 }
 _WHILE_STANDING = {Statusword.OPERATION_ENABLED: Controlword.ENABLE_OPERATION}
 
-_NODE_FIELDS = ("state_age", "phase", "missed_states", "malformed")  # not of the control law
+_NODE_FIELDS = ("state_age", "phase", "missed_states", "malformed")  # not of the behaviour
 
 
-def telemetry_fields(robot: Robot) -> list[str]:
+def telemetry_fields(robot: Robot, config: ControllerConfig) -> list[str]:
     """Names of the controller's telemetry, in order."""
-    names = [f"{what}.{axis}" for what in ("com", "com_velocity") for axis in "xyz"]
-    names += ["com_reference.x", "com_reference.z", "roll", "pitch", "yaw", "roll_reference", "pitch_reference"]
-    names += ["internal_force", "internal_force_reference"]
-    names += [f"{what}.{j}" for what in ("torque_command", "torque_sensed", "q", "dq") for j in robot.joint_names]
-    return [*names, *_NODE_FIELDS]
+    return [*BEHAVIOURS[config.behaviour].fields(robot), *_NODE_FIELDS]
 
 
 def _identity(function: ca.Function) -> ca.Function:
@@ -66,7 +52,7 @@ def _identity(function: ca.Function) -> ca.Function:
 
 
 class Controller:
-    """Whole-body control of a biped in double support, from drive states and the IMU."""
+    """The node: drive states and the IMU in, what ``config.behaviour`` makes of them out."""
 
     def __init__(
         self,
@@ -83,23 +69,28 @@ class Controller:
         names = robot.joint_names
         self._joint_of = {messages.STATE + joint.node_id: names.index(joint.name) for joint in robot.joints}
         self._buses = [[names.index(name) for name in bus.joints] for bus in robot.buses]
-        self._model = RobotModel(robot)
+        self._knees = [names.index(foot.joint) for foot in robot.feet]  # whose drives read the feet's switches
         self._hanging = Hanging(config.rate)
 
         # the memory that the compiled functions work in
-        self.telemetry = np.zeros(len(telemetry_fields(robot)))
-        self._torque, self._node_fields = self.telemetry[15 : 15 + n], self.telemetry[-len(_NODE_FIELDS) :]
-        self._memory, self._memory_next = np.zeros(memory_size(n)), np.zeros(memory_size(n))
+        model = self._model = RobotModel(robot)
+        self._space = space = Workspace(
+            robot, config, model, counts=np.zeros(3 * n), gyro=np.zeros(3), force=np.zeros(3),
+            contacts=np.zeros(len(robot.feet)), q=np.zeros(model.nq), v=np.zeros(model.nv),
+        )  # fmt: skip
+        self._behaviour: Behaviour = BEHAVIOURS[config.behaviour](space, compile)
+        self._memory = self._behaviour.memory
         self._memory[ORIENTATION] = self._hanging.quaternion
-        self._gyro, self._force = np.zeros(3), np.zeros(3)
-        self._counts = np.zeros(3 * n)  # positions, velocities, torques as the drives send them
+        self.telemetry = np.zeros(len(self._behaviour.telemetry) + len(_NODE_FIELDS))
+        self._predict = Bound(
+            compile(predict(n)),
+            {
+                "counts": space.counts, "gyro": space.gyro, "zero": self._hanging.zero, "force": space.force,
+                "estimate": self._memory[estimate(n)], "filters": filter_constants(config),
+            },
+            {"q": space.q, "v": space.v},
+        )  # fmt: skip
         self._hold: tuple[int, ...] = (0,) * n  # counts: where the joints were at first
-        self._start = np.zeros(2)  # centre of mass x, z when it began to stand
-        self._held = np.zeros(n)  # torques then
-        self._schedule = np.zeros(4)
-        self._gains = task_gains(config.tasks, 1.0 / config.rate)
-        self._q, self._v = np.zeros(self._model.nq), np.zeros(self._model.nv)
-        self._bind(compile)
         self._unpack_states = struct.Struct("<" + messages.STATE_LAYOUT * n).unpack
         self._pack_counts = struct.Struct(f"{3 * n}d").pack_into
 
@@ -114,30 +105,13 @@ class Controller:
         self._missed = 0
         self._malformed = 0
 
-    def _bind(self, compile: Callable[[ca.Function], ca.Function]) -> None:
-        config = self._config
-        gain = config.internal_force.gain if config.internal_force.feedback else 0.0
-        inputs = {
-            **self._model.sources,
-            "counts": self._counts, "gyro": self._gyro, "zero": self._hanging.zero, "force": self._force,
-            "memory": self._memory, "q": self._q, "v": self._v,
-            "start": self._start, "held": self._held, "schedule": self._schedule,
-            "gains": self._gains, "path": path_constants(config.path), "filters": filter_constants(config),
-            "internal_force": np.array([config.internal_force.reference, gain]),
-        }  # fmt: skip
-        law = self.telemetry[: -len(_NODE_FIELDS)]
-        self._predict = Bound(compile(predict(self._n)), inputs, {"q": self._q, "v": self._v})
-        self._control = Bound(
-            compile(control(self._model)), inputs, {"telemetry": law, "memory_next": self._memory_next}
-        )
-
     # --- measurements ---------------------------------------------------------------------------------------------
 
     def receive(self, arrival_ns: int, source: int, can_id: int, data: bytes) -> None:
         """Take one measurement: a drive's frame of bus ``source``, or the IMU's sample. Malformed ones are counted."""
         if source == IMU_SOURCE:
             try:
-                self._gyro[:], self._force[:] = imu.decode(data, self._imu)
+                self._space.gyro[:], self._space.force[:] = imu.decode(data, self._imu)
             except ValueError:
                 self._malformed += 1
             else:
@@ -173,27 +147,20 @@ class Controller:
         if self._phase is Phase.OFF:
             self._hold = positions
             self._enter(Phase.ENABLING, now_ns)
-        self._pack_counts(self._counts.data, 0, *positions, *fields[_VELOCITY::_FIELDS], *fields[_TORQUE::_FIELDS])
+        space, behaviour = self._space, self._behaviour
+        self._pack_counts(space.counts.data, 0, *positions, *fields[_VELOCITY::_FIELDS], *fields[_TORQUE::_FIELDS])
+        for foot, knee in enumerate(self._knees):
+            space.contacts[foot] = words[knee] & Statusword.FOOT_CONTACT != 0
         self._predict()
         if self._phase is Phase.ENABLING:
-            self._hanging.take(self._gyro, self._force)
-            self._q[3:7], self._v[3:6] = self._hanging.quaternion, 0.0
-        self._model.compute(self._q, self._v)
-        self._plan(now_ns)
-        self._control()
-        self._memory[:] = self._memory_next
+            self._hanging.take(space.gyro, space.force)
+            space.q[3:7], space.v[3:6] = self._hanging.quaternion, 0.0
+        self._model.compute(space.q, space.v)
+        behaviour.act(self._phase, now_ns, self._since_ns)
+        self._memory[:] = behaviour.memory_next
         setpoints = self._setpoints(words, positions)
         self._advance(words, now_ns)
         return self._answer(now_ns, setpoints)
-
-    def _plan(self, now_ns: int) -> None:
-        """What the control law is to do at this time of this phase."""
-        phase, schedule = self._phase, self._schedule
-        if phase is Phase.ON:  # the path begins no earlier, or its reference would jump
-            schedule[3] = now_ns * 1e-9 - max(self._config.path.start, self._since_ns * 1e-9)
-        elif phase is Phase.RAMP:
-            ramp = max(self._config.weight_ramp, 1.0 / self._config.rate)
-            schedule[2] = min((now_ns - self._since_ns) * 1e-9 / ramp, 1.0)
 
     def _advance(self, words: tuple[int, ...], now_ns: int) -> None:
         """Enter the next phase when this one has done its work."""
@@ -201,13 +168,10 @@ class Controller:
             if now_ns * 1e-9 >= self._config.stand_at and all(
                 word & _MASK == Statusword.OPERATION_ENABLED for word in words
             ):
-                self._start[:] = self.telemetry[0:3:2]
-                self._held[:] = self._counts[2 * self._n :] * messages.NEWTON_METRE
+                self._behaviour.take_over()
                 self._enter(Phase.RAMP, now_ns)
-                self._schedule[0] = 1.0
         elif self._phase is Phase.RAMP and now_ns - self._since_ns >= self._config.weight_ramp * 1e9:
             self._enter(Phase.ON, now_ns)
-            self._schedule[1:3] = 1.0
 
     def _enter(self, phase: Phase, now_ns: int) -> None:
         self._phase = phase
@@ -215,23 +179,32 @@ class Controller:
 
     def _setpoints(self, words: tuple[int, ...], positions: tuple[int, ...]) -> list[Setpoint]:
         """One set-point per joint, from the statuswords and positions (counts) of the drives."""
-        mode = Mode.TORQUE
+        behaviour, n = self._behaviour, self._n
         if self._phase < Phase.RAMP:
-            mode, positions = Mode.POSITION, self._hold
-            self._torque[:] = 0.0
-        torques = self._torque.tolist()
+            behaviour.torque[:] = 0.0
+            modes, gain_sets = [Mode.POSITION] * n, [GainSet.STANCE] * n
+            positions, wanted, speeds = self._hold, None, [0.0] * n
+        else:
+            own = behaviour.setpoints
+            modes, gain_sets, wanted, speeds = own.modes, own.gain_sets, own.positions, own.velocities
+        if wanted is None:
+            wanted = [position * messages.RADIAN for position in positions]
+        torques = behaviour.torque.tolist()
         if not math.isfinite(sum(torques)):
-            mode, torques = Mode.DAMPING, [0.0] * self._n
+            modes, torques = [Mode.DAMPING] * n, [0.0] * n
         answers = _WHILE_STANDING if self._phase >= Phase.RAMP else _WHILE_ENABLING
-        answer, off, gains, radian = answers.get, Controlword.DISABLE_VOLTAGE, GainSet.STANCE, messages.RADIAN
+        answer, off = answers.get, Controlword.DISABLE_VOLTAGE
         return [
-            Setpoint(answer(word & _MASK, off), mode, gains, torque, position * radian, 0.0, _TORQUE_LIMIT, counter)
-            for word, torque, position, counter in zip(words, torques, positions, self._counters, strict=True)
+            Setpoint(answer(word & _MASK, off), mode, gains, torque, position, speed, _TORQUE_LIMIT, counter)
+            for word, mode, gains, torque, position, speed, counter in zip(
+                words, modes, gain_sets, torques, wanted, speeds, self._counters, strict=True
+            )
         ]
 
     def _answer(self, now_ns: int, setpoints: list[Setpoint]) -> list[tuple[int, int, bytes]]:
         self._counter = counter = (self._counter + 1) & 0xFFFF
-        self._node_fields[:] = (now_ns - min(self._arrivals)) * 1e-9, self._phase, self._missed, self._malformed
+        self.telemetry[: -len(_NODE_FIELDS)] = self._behaviour.telemetry
+        self.telemetry[-len(_NODE_FIELDS) :] = (now_ns - min(self._arrivals)) * 1e-9, self._phase, self._missed, self._malformed
         return [
             (bus, messages.COMMAND, messages.encode_command(counter, [setpoints[joint] for joint in joints]))
             for bus, joints in enumerate(self._buses)
@@ -241,13 +214,16 @@ class Controller:
 
     _PLAIN = ("_imu_seen", "_phase", "_hold", "_since_ns", "_counter", "_missed", "_malformed")
     _LISTS = ("_states", "_counters", "_arrivals", "_fresh")
-    _ARRAYS = ("telemetry", "_memory", "_gyro", "_force", "_start", "_held", "_schedule")  # all else is computed anew
+    _ARRAYS = ("telemetry", "_memory")
+    _SHARED = ("gyro", "force")  # all else is computed anew
 
     def snapshot(self) -> dict[str, Any]:
         return {
             **{name: getattr(self, name) for name in self._PLAIN},
             **{name: getattr(self, name).copy() for name in (*self._LISTS, *self._ARRAYS)},
+            **{name: getattr(self._space, name).copy() for name in self._SHARED},
             "hanging": self._hanging.snapshot(),
+            "behaviour": self._behaviour.snapshot(),
         }
 
     def restore(self, state: dict[str, Any]) -> None:
@@ -255,4 +231,7 @@ class Controller:
             setattr(self, name, state[name])
         for name in (*self._LISTS, *self._ARRAYS):
             getattr(self, name)[:] = state[name]  # in place: the compiled functions are bound to the arrays
+        for name in self._SHARED:
+            getattr(self._space, name)[:] = state[name]
         self._hanging.restore(state["hanging"])
+        self._behaviour.restore(state["behaviour"])

@@ -26,6 +26,11 @@ from robots.description import Robot
 ORIENTATION = slice(0, 4)
 
 
+def estimate(joints: int) -> slice:
+    """Where the memory of every behaviour has what ``predict`` needs: orientation and filtered joint velocities."""
+    return slice(0, 4 + joints)
+
+
 def memory_size(joints: int) -> int:
     return 4 + joints + 4 + 1 + 1
 
@@ -55,12 +60,12 @@ def _measured(counts: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
 
 
 def predict(joints: int) -> ca.Function:
-    """Inputs: counts (joints, 3), gyro [rad/s], its zero, force [m/s²], memory, filters (see filter_constants).
-    Outputs: q, v."""
+    """Inputs: counts (joints, 3), gyro [rad/s], its zero, force [m/s²], estimate (4 + joints: what of the memory is so
+    called), filters (see filter_constants). Outputs: q, v."""
     counts = ca.SX.sym("counts", joints, 3)
     gyro, zero, force = (ca.SX.sym(name, 3) for name in ("gyro", "zero", "force"))
-    memory, filters = ca.SX.sym("memory", memory_size(joints)), ca.SX.sym("filters", 5)
-    quaternion, filtered, *_ = _split_memory(memory, joints)
+    memory, filters = ca.SX.sym("estimate", 4 + joints), ca.SX.sym("filters", 5)
+    quaternion, filtered = ca.vertsplit(memory, [0, 4, 4 + joints])
     position, velocity, _ = _measured(counts)
     rate = gyro - zero
     filtered += filters[3] * (velocity - filtered)
@@ -70,7 +75,7 @@ def predict(joints: int) -> ca.Function:
         "controller_predict",
         [counts, gyro, zero, force, memory, filters],
         [q, v],
-        ["counts", "gyro", "zero", "force", "memory", "filters"],
+        ["counts", "gyro", "zero", "force", "estimate", "filters"],
         ["q", "v"],
     )
 

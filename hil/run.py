@@ -169,7 +169,7 @@ def assemble(
 
         if request.backend == "processes":
             world.attach_pins(shared.inputs, shared.outputs)
-            session = controller.open(len(telemetry_fields(robot)))
+            session = controller.open(len(telemetry_fields(robot, scenario.controller)))
         else:
             from central_controller.controller import Controller
             from hil.backends.inline import InlineController, InlineJoints
@@ -187,7 +187,7 @@ def assemble(
         buses = [bus.name for bus in robot.buses]
         channels = {
             "world": list(world.truth_fields),
-            "controller": telemetry_fields(robot),
+            "controller": telemetry_fields(robot, scenario.controller),
             "drives": [f"{what}.{j}" for what in ("statusword", "error", "round_trip") for j in robot.joint_names],
             "bus": [f"{what}.{b}" for what in ("load", "sent", "lost", "errors") for b in buses],
         }

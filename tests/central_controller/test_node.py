@@ -14,14 +14,15 @@ from scipy.optimize import least_squares
 from bus import messages
 from bus.messages import Controlword, GainSet, Mode, State, Statusword
 from central_controller.config import ControllerConfig, InternalForceConfig, PathConfig
-from central_controller.controller import IMU_SOURCE, Controller, Phase, telemetry_fields
+from central_controller.behaviours.behaviour import Phase
+from central_controller.controller import IMU_SOURCE, Controller, telemetry_fields
 from central_controller.model import RobotModel
 from central_controller.wbosc import whole_body_control
 from hil.compiled import compile_function
 from robots import description, imu
 
 ROBOT = description.load("hume")
-FIELDS = telemetry_fields(ROBOT)
+FIELDS = telemetry_fields(ROBOT, ControllerConfig())
 TICK_NS = 666_667
 LAG_S = 0.005  # of the ideal drives
 FEET = np.array([[0.25, -0.1, 0.0], [-0.25, 0.1, 0.0]])
@@ -220,7 +221,7 @@ def test_a_fault_is_never_reset_and_a_lost_drive_is_not_brought_back(upright) ->
 def test_torque_that_is_not_finite_becomes_damping_of_all_drives(upright) -> None:
     rig = Rig(config(), upright)
     rig.run(0.7)
-    rig.controller._gains[0] = np.nan
+    rig.controller._behaviour.gains[0] = np.nan
     rig.step()
     assert all(p.mode == Mode.DAMPING and p.torque == 0.0 for p in setpoints(rig.sent))
 
@@ -263,7 +264,7 @@ def test_the_tick_is_the_control_law_at_the_estimated_state(upright) -> None:
     controller, model = rig.controller, RobotModel(ROBOT)
     integral, felt_force = controller._memory[10:14].copy(), controller._memory[15]
     controller.tick(rig.now + 270_000)
-    q, v = controller._q.copy(), controller._v.copy()
+    q, v = controller._space.q.copy(), controller._space.v.copy()
     model.update(q, v)
     q[:3] = -model.feet.mean(axis=0)
     v[:3] = -np.linalg.lstsq(np.vstack([model.Js[:3, :3], model.Js[3:, :3]]), model.Js @ v, rcond=None)[0]
@@ -272,8 +273,8 @@ def test_the_tick_is_the_control_law_at_the_estimated_state(upright) -> None:
     assert rig.fields("com.x", "com.y", "com.z") == pytest.approx(model.com, abs=1e-12)
     velocity = rig.fields("com_velocity.x", "com_velocity.y", "com_velocity.z")
     assert velocity == pytest.approx(model.com_velocity, abs=1e-12)
-    kp, kd, ki_dt = controller._gains
-    error = np.array([*controller._start, 0.0, 0.0]) - model.task
+    kp, kd, ki_dt = controller._behaviour.gains
+    error = np.array([*controller._behaviour.start, 0.0, 0.0]) - model.task
     u = kp * error - kd * model.task_velocity + integral + ki_dt * error
     line = model.feet[0] - model.feet[1]
     out = whole_body_control(2, 4)(

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bus.messages import Statusword
-from central_controller.controller import Phase
+from central_controller.behaviours.behaviour import Phase
 from hil.analysis.derived import Derived
 from hil.analysis.metrics import compute_metrics
 from hil.analysis.oscillation import Oscillation, dominant_oscillation
