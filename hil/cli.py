@@ -131,11 +131,14 @@ def _parser() -> argparse.ArgumentParser:
     inject.set_defaults(command=_inject)
 
     joint_command.add_parser(commands)
-    from hil.commands import bisect, campaign, diff, estimators, gait, linearise, margin, protection, replay, sweep
+    from hil.commands import bisect, campaign, compare, diff, estimators, gait, linearise, margin, protection, replay
+    from hil.commands import rerun, sweep
     from hil.commands import map as map_command
 
     replay.add_parser(commands)
     diff.add_parser(commands)
+    compare.add_parser(commands)
+    rerun.add_parser(commands)
     bisect.add_parser(commands)
     campaign.add_parser(commands)
     protection.add_parser(commands)

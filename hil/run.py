@@ -20,6 +20,7 @@ from hil.clock import VirtualClock, WallClock
 from hil.commands.eds import write_data_sheets
 from hil.compiled import compile_function, compiler
 from hil.errors import EXIT_STABLE, EXIT_UNSTABLE, EmulationError, HilError, Interrupted
+from hil.report.html import Link
 from hil.scenario import Scenario
 from hil.streams import streams
 from robots import description
@@ -43,6 +44,7 @@ class Request:
     external: tuple[int, ...] = ()  # node ids of joints that are real hardware on their SocketCAN interface
     interfaces: Mapping[str, str] = field(default_factory=dict)  # SocketCAN interfaces to use in place of others
     report: bool = True
+    part_of: Link | None = None  # the page that the report belongs to
     journal: Any = None  # a hil.record.journal.Journal to write to instead of the one of the directory
     signals: bool = True  # whether SIGINT, SIGTERM and SIGHUP end the run in order; else they are the caller's
     log_formats: tuple[str, ...] = ()  # of each bus, beside candump's: of bus.logs.FORMATS
@@ -270,19 +272,18 @@ def run(
         recorder = assembly.recorder
         if failure is None:
             system.journal.write({"end_ns": system.now_ns, "digest": recorder.digest()})
-    return conclude(request, system, recorder, failure, elapsed, start_up, memory, assembly.world, link)
+    return conclude(request, system, recorder, failure, elapsed, start_up, memory, link)
 
 
 def conclude(
     request: Request, system: Any, recorder: Any, failure: HilError | None, elapsed: float, start_up: float = 0.0,
-    memory: Mapping[str, int] = MappingProxyType({}), world: Any = None, link: dict[str, Any] | None = None,
+    memory: Mapping[str, int] = MappingProxyType({}), link: dict[str, Any] | None = None,
 ) -> Outcome:  # fmt: skip
     """Judge the run as far as it has come, and write its record if it has a directory.
 
     Args:
         elapsed: wall-clock time since its first tick, s.
         memory: bytes by process.
-        world: for a video.
     """
     from hil.analysis.bus_statistics import bus_statistics
     from hil.analysis.verdict import judge
@@ -335,8 +336,8 @@ def conclude(
         if request.video and len(tables["world"]):
             from hil.report.video import write_video
 
-            write_video(request.out, world, tables["world"])
-        write_record(request.out, scenario, outcome, request.report)
+            write_video(request.out, scenario, tables["world"])
+        write_record(request.out, scenario, outcome, request.report, request.part_of)
     return outcome
 
 
@@ -351,8 +352,13 @@ def origin(request: Request) -> dict[str, Any]:
     }
 
 
-def write_record(directory: Path, scenario: Scenario, outcome: Outcome, report: bool = True) -> None:
-    """Write what stands in a run's directory beside its signals, logs and journal: DBC files, verdict, report."""
+def write_record(
+    directory: Path, scenario: Scenario, outcome: Outcome, report: bool = True, part_of: Link | None = None
+) -> None:
+    """Write what stands in a run's directory beside its signals, logs and journal: DBC files, verdict, report.
+
+    ``part_of``: the page that the run belongs to.
+    """
     from bus.dbc import dbc
 
     robot = description.load(scenario.robot)
@@ -372,7 +378,7 @@ def write_record(directory: Path, scenario: Scenario, outcome: Outcome, report: 
     if report and len(outcome.tables["world"]) > 10:
         from hil.report.page import write_report
 
-        write_report(directory, outcome.record, outcome.tables)
+        write_report(directory, outcome.record, outcome.tables, part_of)
 
 
 def versions() -> dict[str, str]:

@@ -23,6 +23,7 @@ def add_parser(commands: Any) -> None:
     parser.add_argument("--jobs", type=positive, default=1, metavar="N", help="processes at once (1)")
     parser.add_argument("--out", type=Path, metavar="DIR", help="directory of the results (default: runs/…)")
     parser.add_argument("--only", metavar="TEXT", help="only the rows whose names contain it")
+    parser.add_argument("--video", action="store_true", help="a video of every run that is a failure")
     parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
     parser.set_defaults(command=_campaign)
 
@@ -43,6 +44,10 @@ def _campaign(options: argparse.Namespace) -> int:
         if not rows:
             raise UserError(f"--only {options.only}: no row of {options.file} has that in its name")
         campaign = campaign.model_copy(update={"row": rows})
+    if options.video:
+        from hil.report.video import require_rendering
+
+        require_rendering()
     trials(campaign)  # a mistake is told before anything is created
     stamp = time.strftime("%Y%m%d-%H%M%S")
     out = record_directory(options.out, f"campaign-{campaign.name}-{stamp}")
@@ -51,7 +56,7 @@ def _campaign(options: argparse.Namespace) -> int:
     columns = (*Progress.get_default_columns()[:2], MofNCompleteColumn(), TimeRemainingColumn())
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
         task = progress.add_task(campaign.name, total=len(campaign.row) * len(campaign.seeds))
-        for result in run(campaign, options.jobs, out):
+        for result in run(campaign, options.jobs, out, options.video):
             results.append(result)
             progress.advance(task)
     order = {row.name: n for n, row in enumerate(campaign.row)}

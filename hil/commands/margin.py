@@ -37,6 +37,12 @@ def add_parser(commands: Any) -> None:
     parser.add_argument("--jobs", type=positive, metavar="N", help="processes at once (default: one per core)")
     parser.add_argument("--json", action="store_true", help="print one JSON object, SI units, and nothing else")
     parser.add_argument("--out", type=Path, metavar="DIR", help="write margin.json, margin.png and margin.html there")
+    parser.add_argument(
+        "--keep",
+        action="store_true",
+        help="also the records of the last stable and the first unstable run, below --out",
+    )
+    parser.add_argument("--video", action="store_true", help="--keep, with their videos")
     parser.set_defaults(command=_margin)
 
 
@@ -49,11 +55,19 @@ def ends_of(text: str, quantity: Quantity) -> tuple[float, float]:
 
 
 def _margin(options: argparse.Namespace) -> int:
-    from hil.lab.margin import Search, checked, margins, summary
+    from hil.lab.kept import keep
+    from hil.lab.margin import Search, boundary_pair, checked, margins, summary
     from hil.lab.quantity import quantity
     from hil.lab.workers import default_jobs
+    from hil.report.html import Link
     from hil.report.progress import Counter
 
+    if (options.keep or options.video) and options.out is None:
+        raise UserError(f"--{'video' if options.video else 'keep'} needs --out DIR, below which the runs are kept")
+    if options.video:
+        from hil.report.video import require_rendering
+
+        require_rendering()
     scenario = scenario_of(options)
     varied = quantity(scenario, options.of)
     near = far = resolution = None
@@ -70,6 +84,16 @@ def _margin(options: argparse.Namespace) -> int:
     if options.out is not None:
         from hil.report.margin_page import write_margin
 
+        pair = boundary_pair(result, varied) if options.keep or options.video else None
+        if pair is not None:
+            keep(
+                options.out,
+                scenario,
+                search.at,
+                pair,
+                Link("margin.html", f"the margin of {varied.key}"),
+                options.video,
+            )
         write_margin(options.out, result, varied)
     if options.json:
         print(json.dumps(result, allow_nan=False))

@@ -6,12 +6,15 @@ import argparse
 import json
 from collections import deque
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from bus.frames import Frame
 from hil.commands.arguments import record_directory
 from hil.errors import EXIT_STABLE, EXIT_UNSTABLE, EmulationError, UserError
 from hil.record import journal
+
+if TYPE_CHECKING:
+    from hil.scenario import Scenario
 
 
 class Replay:
@@ -42,10 +45,11 @@ class Replay:
         return frames
 
 
-def replay(directory: Path, out: Path | None = None) -> tuple[bool, str]:
+def replay(directory: Path, out: Path | None = None, video: bool = False) -> tuple[bool, str]:
     """Whether the run recorded in ``directory`` comes out the same again, and a sentence about it.
 
-    ``out``: where to write a whole record of the replay. Raises UserError when there is nothing that can be replayed.
+    ``out``: where to write a whole record of the replay. ``video``: write one of the replay, into ``out`` or, without,
+    beside the record, into whose report it comes. Raises UserError when there is nothing that can be replayed.
     """
     from hil.run import Request, run, versions
     from hil.scenario import from_record
@@ -65,10 +69,12 @@ def replay(directory: Path, out: Path | None = None) -> tuple[bool, str]:
     def prepare(assembly: Any) -> None:
         assembly.system.tap = Replay(assembly.system, entries)
 
-    request = Request(scenario, start["seed"], "inline", out=out, report=out is not None, journal=digests)
+    request = Request(scenario, start["seed"], "inline", out=out, video=video, report=out is not None, journal=digests)
     outcome = run(request, prepare=prepare)
     if outcome.record["verdict"] == "failed":
         raise EmulationError(f"the replay did not get to its end: {outcome.record['reason']}")
+    if video and out is None:
+        _add_video(directory, scenario, outcome.tables)
     until = f"{max(recorded) * 1e-9:.3f} s, where the run was cut off" if end is None else "its end"
     wrong = next((time for time, digest in sorted(recorded.items()) if digests.at.get(time) != digest), None)
     if wrong is None and (end is None or outcome.record["log_digest"] == end["digest"]):
@@ -79,16 +85,34 @@ def replay(directory: Path, out: Path | None = None) -> tuple[bool, str]:
     return False, f"the digest differs {place}{' (' + '; '.join(changed) + ')' if changed else ''}"
 
 
+def _add_video(directory: Path, scenario: Scenario, tables: dict[str, Any]) -> None:
+    """Write the video of a run beside its record, and its report, if it has one, anew."""
+    from hil.record.recorded import read_run
+    from hil.report.page import write_report
+    from hil.report.video import write_video
+
+    write_video(directory, scenario, tables["world"])
+    found = read_run(directory)
+    if found.record is not None and (directory / "report.html").exists():
+        write_report(directory, found.record, found.tables)
+
+
 def add_parser(commands: Any) -> None:
     """Add the subcommand to ``hil``."""
     parser = commands.add_parser("replay", help="repeat a recorded run, with all that came into it from outside")
     parser.add_argument("directory", type=Path, metavar="DIR", help="the run's record")
     parser.add_argument("--out", type=Path, metavar="NEW", help="write the replay's record, with logs and report")
+    parser.add_argument("--video", action="store_true", help="write video.mp4, beside the record or into --out")
     parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
     parser.set_defaults(command=_replay)
 
 
 def _replay(options: argparse.Namespace) -> int:
-    same, sentence = replay(options.directory, None if options.out is None else record_directory(options.out))
+    if options.video:
+        from hil.report.video import require_rendering
+
+        require_rendering()
+    out = None if options.out is None else record_directory(options.out)
+    same, sentence = replay(options.directory, out, options.video)
     print(json.dumps({"same": same, "sentence": sentence}) if options.json else sentence)
     return EXIT_STABLE if same else EXIT_UNSTABLE

@@ -14,6 +14,7 @@ from hil.injection import configured, injectable
 from hil.lab.campaign_file import Campaign, Trial, trials
 from hil.lab.running import Running
 from hil.lab.workers import parallel
+from hil.report.html import Link
 from hil.report.names import file_name
 from joint_firmware.drive import DriveState
 from robots import description
@@ -42,12 +43,13 @@ class Result:
     record: Path | None = None
 
 
-def run(campaign: Campaign, jobs: int = 1, out: Path | None = None) -> Iterator[Result]:
+def run(campaign: Campaign, jobs: int = 1, out: Path | None = None, video: bool = False) -> Iterator[Result]:
     """Results of all rows with all seeds, as they come.
 
     Args:
         jobs: processes.
         out: where runs that did not come out as expected are kept.
+        video: with a video of each that is a failure.
 
     Raises UserError that names the row, before anything has run.
     """
@@ -56,7 +58,7 @@ def run(campaign: Campaign, jobs: int = 1, out: Path | None = None) -> Iterator[
     for trial in complete:
         groups.setdefault(f"{trial.at} {trial.scenario.model_dump_json()}", []).append(trial)
     calls = [
-        (part, seed, out)
+        (part, seed, out, video, campaign.name)
         for seed in campaign.seeds
         for group in groups.values()
         for part in _parts(group, jobs)
@@ -70,7 +72,7 @@ def _parts(group: list[Trial], jobs: int) -> list[list[Trial]]:
     return [group[k::jobs] for k in range(min(jobs, len(group)))]
 
 
-def _run_group(group: Sequence[Trial], seed: int, out: Path | None) -> list[Result]:
+def _run_group(group: Sequence[Trial], seed: int, out: Path | None, video: bool, name: str) -> list[Result]:
     first = group[0]
     with Running(first.scenario, seed) as running:
         running.until(first.at)
@@ -78,11 +80,11 @@ def _run_group(group: Sequence[Trial], seed: int, out: Path | None) -> list[Resu
         results = []
         for trial in group:
             running.restore(settled)
-            results.append(_run(running, trial, out))
+            results.append(_run(running, trial, out, video, name))
         return results
 
 
-def _run(running: Running, trial: Trial, out: Path | None) -> Result:
+def _run(running: Running, trial: Trial, out: Path | None, video: bool, name: str) -> Result:
     began = time.monotonic()
     row = trial.row
     weakness = row.known_weakness
@@ -107,7 +109,8 @@ def _run(running: Running, trial: Trial, out: Path | None) -> Result:
     record = None
     if status != "passed" and out is not None:
         record = out / f"{file_name(row.name)}-seed{running.seed}"
-        running.save(record)
+        page = Link("../report.html", f"the campaign {name}")
+        running.save(record, video=video and status == "failed", part_of=page)
     return replace(
         result, status=status, sentence=sentence, safe_after=safe_after, elapsed=time.monotonic() - began, record=record
     )

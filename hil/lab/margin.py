@@ -7,12 +7,13 @@ stable further out, beyond a value that is not, is not looked for.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 from hil.errors import UserError
 from hil.lab.experiment import Trials
+from hil.lab.kept import Pair
 from hil.lab.quantity import Quantity
 from hil.lab.statistics import finite, median, median_interval
 from hil.lab.workers import parallel
@@ -208,6 +209,16 @@ def summary(search: Search, found: Sequence[SeedMargin]) -> dict[str, Any]:
         "per_seed": [asdict(m) for m in found],
         "configuration": search.scenario.model_dump(mode="json"),
     }
+
+
+def boundary_pair(result: Mapping[str, Any], quantity: Quantity) -> Pair | None:
+    """The last stable and the first unstable run of the seed whose margin is the median one, from a ``summary``; of any
+    other that has both, if that one has not; None if none has."""
+    both = [s for s in result["per_seed"] if s["stable"] is not None and s["unstable"] is not None]
+    if not both:
+        return None
+    seed = next((s for s in both if s["stable"] == result["margin"]), both[0])
+    return Pair(seed["seed"], {quantity: seed["stable"]}, {quantity: seed["unstable"]})
 
 
 def _as_number(margin: SeedMargin, sign: float) -> float:

@@ -11,6 +11,7 @@ from hil.errors import UserError
 from hil.lab.experiment import Experiment
 from hil.record.journal import JOURNAL_FILE, Entries
 from hil.record.signals import SIGNALS_FILE, Signals
+from hil.report.html import Link
 from hil.run import Outcome, conclude, origin, write_record
 from hil.scenario import Scenario
 from robots.quantities import parse_quantity
@@ -122,9 +123,12 @@ class Running:
         """Free what only a run that goes on needs; a second call does nothing."""
         self._experiment.close()
 
-    def save(self, directory: Path) -> None:
+    def save(self, directory: Path, video: bool = False, part_of: Link | None = None) -> None:
         """Write the record as of now into ``directory``, which is created: verdict, report, signals, and the journal,
-        so that ``hil replay`` can repeat it. Buses' logs are not kept in memory: ``hil replay --out`` writes them."""
+        so that ``hil replay`` can repeat it. Buses' logs are not kept in memory: ``hil replay --out`` writes them.
+
+        video: its video, too; raises EmulationError without off-screen OpenGL. part_of: the page that it belongs to.
+        """
         from hil.record.mcap_writer import McapWriter
 
         outcome = self.outcome()
@@ -135,4 +139,8 @@ class Running:
         writer.close()
         lines = "".join(json.dumps(entry) + "\n" for entry in self._journal.entries)
         (directory / JOURNAL_FILE).write_text(lines, encoding="utf-8")
-        write_record(directory, self.scenario, outcome)
+        if video and len(outcome.tables["world"]):
+            from hil.report.video import write_video
+
+            write_video(directory, self.scenario, outcome.tables["world"])
+        write_record(directory, self.scenario, outcome, part_of=part_of)

@@ -7,19 +7,15 @@ band reaches from the last place that is decided on one side to the first one on
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from hil.errors import UserError
-from hil.lab.quantity import Quantity, quantity
-from hil.lab.statistics import CONFIDENCE, share_interval
-from hil.lab.sweep import read_table
-from hil.scenario import complete
+from hil.lab.places import Places, places
+from hil.lab.quantity import Quantity
 
 
 @dataclass(frozen=True)
@@ -58,78 +54,45 @@ def load_map(
     Of more than two axes ``x`` and ``y`` say which; ``where`` (values by key, as written) holds the others. Raises
     UserError.
     """
-    columns, manifest = read_table(directory)
-    scenario = complete(_readable(manifest["scenario"]), str(directory))
-    axes = {a["key"]: a for a in manifest["axes"]}
-    keys = list(axes)
+    return map_of(map_places(directory, x, y, where))
+
+
+def map_places(
+    directory: Path, x: str | None = None, y: str | None = None, where: Mapping[str, str] | None = None
+) -> Places:
+    """The places of such a map: two free axes, x first. Raises UserError."""
+    if x is not None and x == y:
+        raise UserError(f"--x and --y are both {x}: a map needs two axes")
+    wanted = [key for key in (x, y) if key is not None]
+    found = places(directory, wanted, where)
+    keys = [q.key for q in found.quantities]
+    if x is None and y is not None and len(keys) == 2:  # the other one goes to the right
+        found = places(directory, keys[::-1], where)
+        keys = keys[::-1]
     if len(keys) < 2:
-        raise UserError(f"{directory}: a map needs two axes; this sweep varies {keys[0]} alone")
-    where = where or {}
-    for key in (*where, *(k for k in (x, y) if k is not None)):
-        if key not in axes:
-            raise UserError(f"{key} is not varied in {directory}; there are {', '.join(keys)}")
-    free = [key for key in keys if key not in where]
-    x = x or next(key for key in free if key != y)
-    y = y or next((key for key in free if key != x), x)
-    held = [key for key in free if key not in (x, y)]
-    if x == y or held:
-        names = ", ".join(held) or "two axes"
-        raise UserError(f"{directory}: --where KEY=VALUE has to leave two axes, and hold the others: {names}")
-    qx, qy = quantity(scenario, x), quantity(scenario, y)
-    for q in (qx, qy):
+        raise UserError(f"{directory}: a map needs two axes; there is {keys[0] if keys else 'none'} alone")
+    if len(keys) > 2:
+        held = ", ".join(keys[2:])
+        raise UserError(f"{directory}: --where KEY=VALUE has to leave two axes, and hold the others: {held}")
+    for q in found.quantities:
         if not q.numeric:
-            raise UserError(f"{q.key} has no scale to draw a map over; --x and --y name two that have")
-    chosen = np.ones(len(columns["point"]), bool)
-    for key, text in where.items():
-        value = quantity(scenario, key).parse(text)
-        match = np.array([_same(value, entry) for entry in columns[key]])
-        if not match.any():
-            there = ", ".join(quantity(scenario, key).shown(entry) for entry in dict.fromkeys(columns[key]))
-            raise UserError(f"--where {key}={text}: not swept; there are {there}")
-        chosen &= match
-    return _map(columns, chosen, manifest, (qx, qy), (axes[x]["log"], axes[y]["log"]))
+            raise UserError(
+                f"{q.key} has no scale to draw a map over; hold it with --where {q.key}=VALUE, "
+                "or --x and --y name two that have"
+            )
+    return found
 
 
-def _map(
-    columns: dict[str, list[Any]], chosen: np.ndarray, manifest: dict[str, Any], quantities: tuple[Quantity, Quantity],
-    logs: tuple[bool, bool],
-) -> StabilityMap:  # fmt: skip
-    qx, qy = quantities
-    rows = np.flatnonzero(chosen)
-    places: dict[tuple[float, float], list[int]] = {}
-    for row in rows:
-        places.setdefault((float(columns[qy.key][row]), float(columns[qx.key][row])), []).append(int(row))
-    ordered = sorted(places)
-    stable = [sum(columns["verdict"][row] == "stable" for row in places[place]) for place in ordered]
-    runs = [len(places[place]) for place in ordered]
-    confidence = min(CONFIDENCE, 1.0 - 2.0 ** (1 - max(runs)))
-    decided = [_side(count, n, confidence) for count, n in zip(stable, runs, strict=True)]
-    y, x = (np.array(values) for values in zip(*ordered, strict=True))
+def map_of(found: Places) -> StabilityMap:
+    """The map over two axes, x first."""
+    every = list(found.rows)
+    x, y = (np.array(values, float) for values in zip(*every, strict=True))
     shape = (len(set(y)), len(set(x)))
-    reasons = []
-    for place in ordered:
-        of_place = [columns["reason"][row] for row in places[place]]
-        reasons.append(max(dict.fromkeys(of_place), key=of_place.count))
-    grid = manifest["sample"] is None and shape[0] * shape[1] == len(ordered)
+    grid = found.grid and shape[0] * shape[1] == len(every)
+    (x_quantity, y_quantity), (x_log, y_log) = found.quantities, found.logs
     return StabilityMap(
-        manifest["scenario"]["name"], qx, qy, *logs, x, y, np.array(stable) / np.array(runs), np.array(runs),
-        np.array(decided), confidence, tuple(reasons), shape if grid else None,
+        found.scenario.name, x_quantity, y_quantity, x_log, y_log, x, y,
+        np.array([found.share(place) for place in every]), np.array([len(found.rows[place]) for place in every]),
+        np.array([found.decided(place) for place in every]), found.confidence,
+        tuple(found.reason(place) for place in every), shape if grid else None,
     )  # fmt: skip
-
-
-def _side(count: int, n: int, confidence: float) -> int:
-    low, high, _ = share_interval(count, n, confidence) if confidence > 0 else (0.0, 1.0, 0.0)
-    return 1 if low >= 0.5 - 1e-9 else -1 if high <= 0.5 + 1e-9 else 0
-
-
-def _same(a: Any, b: Any) -> bool:
-    return bool(np.isclose(a, b, rtol=1e-9, atol=0)) if isinstance(a, float) else a == b
-
-
-def _readable(configuration: dict[str, Any]) -> dict[str, Any]:
-    """A dumped configuration as a scenario file holds it."""
-    import tomllib
-
-    from hil.scenario import to_toml
-
-    return tomllib.loads(to_toml(json.loads(json.dumps(configuration))))

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import html
-import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 from xml.etree import ElementTree
 
-from hil.report.html import document, folded, verdict
+from hil.report.html import document, film, folded, run_link, verdict
 
 if TYPE_CHECKING:
     from hil.lab.campaign import Result
@@ -29,9 +28,10 @@ def write_page(
     about = ", ".join(f"{name} {version}" for name, version in versions.items())
     body = (
         f"<p>{html.escape(campaign.description)}</p>"
-        + verdict("unstable" if failed else "stable", sentence)
+        + verdict(*(("failed", sentence, "not as expected") if failed else ("stable", sentence, "as expected")))
         + "<h2>Trials</h2><div class=wide><table><tr><th>what is wrong<th>seed<th>expected<th>came out<th>seen</tr>"
         + f"{rows}</table></div>"
+        + _films(path.parent, results)
         + folded("The campaign's file", source)
         + folded("Versions", about)
     )
@@ -45,14 +45,26 @@ def _order(result: Result) -> int:
 def _row(directory: Path, result: Result) -> str:
     seen = html.escape(result.sentence)
     if result.record is not None:
-        page = result.record / "report.html"
-        target = page if page.exists() else result.record
-        seen = f'<a href="{html.escape(os.path.relpath(target, directory))}">{seen}</a>'
+        seen = run_link(directory, result.record, result.sentence)
     if result.weakness:
         seen += f"<br><i>{html.escape(result.weakness)}</i>"
     kind = " class=beyond" if result.status == "failed" else ""
-    cells = (html.escape(result.name), str(result.seed), html.escape(result.expectation), _SAID[result.status], seen)
-    return f"<tr{kind}>{''.join(f'<td>{cell}</td>' for cell in cells)}</tr>"
+    return (
+        f"<tr{kind}><td class=name>{html.escape(result.name)}</td><td class=n>{result.seed}</td>"
+        f"<td class=text>{html.escape(result.expectation)}</td><td>{_SAID[result.status]}</td>"
+        f"<td class=text>{seen}</td></tr>"
+    )
+
+
+def _films(directory: Path, results: Sequence[Result]) -> str:
+    """The videos that there are."""
+    kept = [(result, film(directory, result.record)) for result in results if result.record is not None]
+    items = "".join(
+        f"<section><p>{html.escape(f'{result.name}, seed {result.seed}: {result.sentence}')}</p>{video}</section>"
+        for result, video in kept
+        if video
+    )
+    return f"<h2>Videos</h2>{items}" if items else ""
 
 
 def write_junit(path: Path, campaign: Campaign, results: Sequence[Result]) -> None:

@@ -12,6 +12,7 @@ import matplotlib
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.patheffects import Normal, Stroke
 from matplotlib.ticker import StrMethodFormatter
 from matplotlib.tri import Triangulation
 
@@ -23,18 +24,20 @@ from hil.report.margin_page import display_unit
 _COLOURS = "RdYlBu"  # told apart by the colour-blind, and in grey
 _BOUNDARY: dict[str, Any] = {"color": "k", "linewidth": 1.6}
 _BAND: dict[str, Any] = {"color": "k", "linewidth": 0.9, "linestyle": ":"}
+_PREDICTED: dict[str, Any] = {"color": "tab:purple", "linestyle": "--", "linewidth": 2.0, "marker": "o",
+                              "markersize": 4}  # fmt: skip
 _SURE = 0.99  # of ±1: the band's edges run through the last places that are decided
 Curve = Sequence[tuple[float, float]]  # points of a boundary, SI
 
 
-def write_map(directory: Path, found: StabilityMap, predicted: Sequence[Curve] = ()) -> Path:
+def write_map(directory: Path, found: StabilityMap, predicted: Sequence[Curve] = (), more: str = "") -> Path:
     """Write ``map.png`` and ``map.html`` into ``directory``; returns the page's path. ``predicted``: boundaries to draw
-    beside the one found."""
+    beside the one found. ``more``: HTML for the end of the page."""
     figure, boundary, band = _draw(found, predicted)
     figure.savefig(directory / "map.png", dpi=200)
     plt.close(figure)
     path = directory / "map.html"
-    path.write_text(_page(found, boundary, band, predicted), encoding="utf-8")
+    path.write_text(_page(found, boundary, band, predicted, more), encoding="utf-8")
     return path
 
 
@@ -80,7 +83,8 @@ def _draw(found: StabilityMap, predicted: Sequence[Curve]) -> tuple[Any, list[np
         axes.plot([], [], **_BAND, label=f"{100 * found.confidence:.3g} % confidence band")
     for number, curve in enumerate(predicted):
         points = np.array(curve) * (x_scale, y_scale)
-        axes.plot(*points.T, color="tab:purple", linestyle="--", label=None if number else "predicted, linear loop")
+        label = None if number else "predicted, linear loop"
+        axes.plot(*points.T, label=label, **_PREDICTED, path_effects=[Stroke(linewidth=4.0, foreground="w"), Normal()])
     nominal = found.nominal[0] * x_scale, found.nominal[1] * y_scale
     if _inside(found):
         axes.plot(*nominal, "*", color="w", markeredgecolor="k", markersize=14, clip_on=False, zorder=5,
@@ -126,7 +130,9 @@ def _unit(values: np.ndarray, log: bool) -> np.ndarray:
     return (values - values.min()) / np.ptp(values)
 
 
-def _page(found: StabilityMap, boundary: list[np.ndarray], band: list[np.ndarray], predicted: Sequence[Curve]) -> str:
+def _page(
+    found: StabilityMap, boundary: list[np.ndarray], band: list[np.ndarray], predicted: Sequence[Curve], more: str
+) -> str:
     import plotly.graph_objects as go
     import plotly.io as pio
 
@@ -137,7 +143,8 @@ def _page(found: StabilityMap, boundary: list[np.ndarray], band: list[np.ndarray
         f"{share * n:.0f} of {n} stable<br>{html.escape(reason)}"
         for a, b, share, n, reason in zip(found.x, found.y, found.share, found.runs, found.reasons, strict=True)
     ]
-    shared: dict[str, Any] = {"colorscale": _COLOURS, "showscale": True, "colorbar": {"title": "share stable"}}
+    bar = {"title": "share stable", "thickness": 12}
+    shared: dict[str, Any] = {"colorscale": _COLOURS, "showscale": True, "colorbar": bar}
     figure = go.Figure()
     if found.shape is not None:
         figure.add_heatmap(
@@ -148,10 +155,15 @@ def _page(found: StabilityMap, boundary: list[np.ndarray], band: list[np.ndarray
         line = {"width": 1, "color": "#666"}
         marker = {"color": found.share, "cmin": 0, "cmax": 1, "size": 10, "line": line, **shared}
         figure.add_scatter(x=x, y=y, mode="markers", marker=marker, text=told, hoverinfo="text", showlegend=False)
+    lines = [np.array(c) for c in predicted]
+    for curve in lines:  # under the predicted ones, so that they stand out from dark places
+        white = {"color": "white", "width": 5}
+        figure.add_scatter(x=curve[:, 0] * x_scale, y=curve[:, 1] * y_scale, mode="lines", line=white, hoverinfo="skip",
+                           showlegend=False)  # fmt: skip
     for curves, name, line in (
         (boundary, "half of the runs stable", {"color": "black", "width": 2.5}),
         (band, f"{100 * found.confidence:.3g} % confidence band", {"color": "black", "width": 1.2, "dash": "dot"}),
-        ([np.array(c) for c in predicted], "predicted, linear loop", {"color": "purple", "width": 2, "dash": "dash"}),
+        (lines, "predicted, linear loop", {"color": "purple", "width": 2, "dash": "dash"}),
     ):
         for number, curve in enumerate(curves):
             figure.add_scatter(
@@ -166,8 +178,8 @@ def _page(found: StabilityMap, boundary: list[np.ndarray], band: list[np.ndarray
         )  # fmt: skip
     figure.update_xaxes(title=x_label, type="log" if found.x_log else "linear")
     figure.update_yaxes(title=y_label, type="log" if found.y_log else "linear")
-    figure.update_layout(template="plotly_white", legend={"orientation": "h", "y": -0.2}, margin={"t": 20, "r": 20},
-                         height=560)  # fmt: skip
+    figure.update_layout(template="plotly_white", legend={"orientation": "h", "y": -0.2}, height=560,
+                         margin={"t": 45, "r": 10, "l": 45})  # fmt: skip
     config = {"responsive": True, "displaylogo": False}
     drawing = pio.to_html(figure, full_html=False, include_plotlyjs=True, config=config)
-    return document(f"{found.scenario}: stability", f"<p>{html.escape(caption(found))}</p>{drawing}")
+    return document(f"{found.scenario}: stability", f"<p>{html.escape(caption(found))}</p>{drawing}{more}")

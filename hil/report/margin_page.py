@@ -13,6 +13,8 @@ import matplotlib
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 
+from hil.lab.kept import STABLE, UNSTABLE, section
+from hil.lab.margin import boundary_pair
 from hil.lab.quantity import Quantity
 from hil.report.html import document, folded, picture
 from hil.report.plots import encoded
@@ -108,16 +110,26 @@ def write_margin(directory: Path, result: Mapping[str, Any], quantity: Quantity)
     when = "" if result["at"] is None else f", changed at {result['at']:g} s"
     rows = "".join(
         f"<tr><td class=n>{seed['seed']}</td><td class=n>{quantity.shown(run['value'])}</td>"
-        f"<td>{'stable' if run['stable'] else 'unstable'}</td><td>{html.escape(run['reason'])}</td></tr>"
+        f"<td>{'stable' if run['stable'] else 'unstable'}</td><td class=text>{html.escape(run['reason'])}</td></tr>"
         for seed in result["per_seed"] for run in sorted(seed["tried"], key=lambda run: run["value"])
     )  # fmt: skip
     found = "".join(
         f"<tr><td>{html.escape(line[:_NAME].strip())}</td><td>{html.escape(line[_NAME:])}</td></tr>"
         for line in sentences(result, quantity)
     )
+    pair = boundary_pair(result, quantity)
+    told = (
+        {}
+        if pair is None
+        else {
+            STABLE: f"{quantity.shown(pair.stable[quantity])}, seed {pair.seed}: stable",
+            UNSTABLE: f"{quantity.shown(pair.unstable[quantity])}, seed {pair.seed}: unstable",
+        }
+    )
     numbers = {name: value for name, value in result.items() if name != "configuration"}
     body = f"""<p>{html.escape(result["scenario"])}{when}; nominal {quantity.shown(quantity.nominal)}</p>
 <table>{found}</table>
+{section(directory, told)}
 {picture("Every run", "Bisection: each seed is tried where its own boundary was not yet known.", encoded(figure))}
 <div class=wide><table><tr><th>seed<th>{html.escape(quantity.key)}<th>verdict<th>reason</tr>{rows}</table></div>
 {folded("Exact configuration, a scenario file", to_toml(result["configuration"]))}

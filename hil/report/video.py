@@ -4,26 +4,44 @@ from __future__ import annotations
 
 import subprocess
 from pathlib import Path
-from typing import Any
 
 import imageio_ffmpeg
 import numpy as np
 
 from hil.errors import EmulationError
 from hil.record.signals import Signals
+from hil.report.html import VIDEO_FILE
+from hil.report.scene import scene_of
+from hil.scenario import Scenario
 
 FPS = 30
 _SIZE = (960, 544)
 
 
-def write_video(directory: Path, world: Any, table: Signals) -> Path:
-    """Encode ``video.mp4`` (H.264) at the speed of simulated time. Raises EmulationError without off-screen OpenGL."""
+def require_rendering() -> None:
+    """Raise EmulationError, before any work is done in vain, where there is no off-screen OpenGL."""
+    import mujoco
+
+    from plant.render import RenderError, frames
+
+    try:
+        for _ in frames(mujoco.MjModel.from_xml_string("<mujoco/>"), [np.empty(0)], 8, 8):
+            pass
+    except RenderError as error:
+        raise EmulationError(f"no video: {error}") from None
+
+
+def write_video(directory: Path, scenario: Scenario, table: Signals) -> Path:
+    """Encode ``video.mp4`` (H.264) of a run of ``scenario`` at the speed of simulated time.
+
+    ``table``: its channel ``world``. Raises EmulationError without off-screen OpenGL.
+    """
     from plant.render import RenderError, frames
 
     qpos = table.group("qpos")
     ticks = np.arange(0.0, table.seconds[-1], 1.0 / FPS)
     rows = qpos[np.searchsorted(table.seconds, ticks).clip(max=len(qpos) - 1)]
-    path = directory / "video.mp4"
+    path = directory / VIDEO_FILE
     width, height = _SIZE
     command = [
         imageio_ffmpeg.get_ffmpeg_exe(), "-y", "-loglevel", "error", "-f", "rawvideo", "-pix_fmt", "rgb24",
@@ -33,7 +51,7 @@ def write_video(directory: Path, world: Any, table: Signals) -> Path:
         with subprocess.Popen(command, stdin=subprocess.PIPE, stderr=subprocess.PIPE) as encoder:
             assert encoder.stdin is not None and encoder.stderr is not None
             try:
-                for picture in frames(world.model, rows, width, height):
+                for picture in frames(scene_of(scenario), rows, width, height):
                     encoder.stdin.write(picture.tobytes())
                 encoder.stdin.close()
             except BrokenPipeError:  # its own words say why

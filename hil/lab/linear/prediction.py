@@ -66,22 +66,36 @@ def predicted(search: Search, done: Callable[[Mapping[float, Step]], None] = lam
         return predict(point, search, done)
 
 
-def parting(search: Search, prediction: Prediction, margin: float | None, reasons: Sequence[str]) -> str | None:
+STICTION = "dry friction holds small oscillations that the linear loop lets grow"
+# How a run fails, by how its reason begins.
+_KINDS = {
+    "foot slipped": "contact lost",
+    "a foot was without load": "contact lost",
+    "drive in": "a drive's protection",
+    "drive silent": "a drive's protection",
+}
+
+
+def parting(
+    search: Search, prediction: Prediction, margin: float | None, reasons: Sequence[str], resolution: float = 0.0
+) -> str | None:
     """Why ``margin`` and prediction are further apart than a period of the controller, or if it is no time a twentieth:
-    one sentence; None if they are not. ``reasons``: verdicts of the smallest values that were found unstable."""
+    one sentence; None if they are not, or not more than ``resolution``. ``reasons``: verdicts of the smallest values
+    that were found unstable."""
     if prediction.value is None or margin is None:
         return None
     apart = margin - prediction.value
     near = 1.0 / search.scenario.controller.rate if search.quantity.unit == "s" else 0.05 * abs(prediction.value)
-    if abs(apart) <= near:
+    if abs(apart) <= max(near, resolution):
         return None
     outwards = apart if search.far is None or search.far > search.start else -apart
     told = search.quantity.shown(abs(apart))
     if outwards > 0.0 and search.scenario.world.friction_scale > 0.0:
-        return f"{told} beyond the prediction: dry friction holds small oscillations that the linear loop lets grow"
+        return f"{told} beyond the prediction: {STICTION}"
     common = max(set(reasons), key=reasons.count) if reasons else "unknown"
+    kind = next((f"{kind}: " for begins, kind in _KINDS.items() if common.startswith(begins)), "")
     side = "beyond" if outwards > 0.0 else "short of"
-    return f"{told} {side} the prediction, and not by growth from small deviations: {common}"
+    return f"{told} {side} the prediction, and not by growth from small deviations: {kind}{common}"
 
 
 def predict(point: Point, search: Search, done: Callable[[Mapping[float, Step]], None] = lambda _: None) -> Prediction:
