@@ -131,7 +131,7 @@ def _parser() -> argparse.ArgumentParser:
     inject.set_defaults(command=_inject)
 
     joint_command.add_parser(commands)
-    from hil.commands import bisect, campaign, diff, linearise, margin, protection, replay, sweep
+    from hil.commands import bisect, campaign, diff, linearise, margin, protection, replay, study, sweep
     from hil.commands import map as map_command
 
     replay.add_parser(commands)
@@ -143,6 +143,7 @@ def _parser() -> argparse.ArgumentParser:
     linearise.add_parser(commands)
     sweep.add_parser(commands)
     map_command.add_parser(commands)
+    study.add_parser(commands)
     eds.add_parser(commands)
     export.add_parser(commands)
     bus_command.add_parser(commands)

@@ -79,7 +79,8 @@ def _moved(settled: dict[str, Any], fresh: dict[str, Any]) -> dict[str, Any]:
         ],
         **{
             part: [{**old, "impairment": new["impairment"]} for old, new in zip(settled[part], own, strict=True)]
-            for part, own in fresh.items() if part in ("links", "wires")
+            for part, own in fresh.items()
+            if part in ("links", "wires")
         },
         "injector": fresh["injector"],
     }
