@@ -20,6 +20,7 @@ from hil.report.html import document, picture
 from hil.report.plots import encoded
 from hil.studies.study import Field, Findings, Study, Table
 
+_LABEL: dict[str, Any] = {"facecolor": "w", "alpha": 0.75, "linewidth": 0, "pad": 1.5}
 _LINES: tuple[dict[str, Any], ...] = (
     {"color": "k"},
     {"color": "k", "linestyle": "--"},
@@ -58,7 +59,7 @@ def draw(field: Field) -> Figure:
         line.set_major_formatter(StrMethodFormatter("{x:g}"))
     for n, row in enumerate(field.texts):
         for m, text in enumerate(row):
-            axes.text(field.x[m], field.y[n], text, ha="center", va="center", fontsize=8)
+            axes.text(field.x[m], field.y[n], text, ha="center", va="center", fontsize=8, bbox=_LABEL)
     for style, (name, (xs, ys)) in zip(_LINES, field.curves.items(), strict=False):
         axes.plot(xs, ys, marker="o", markersize=4, linewidth=1.6, label=name, **style)
     if field.zero and field.values.min() < 0.0 < field.values.max() and min(field.values.shape) > 1:

@@ -27,10 +27,22 @@ TORQUE, TASK, DAMPING, FORCE, DELAY = (
 )  # fmt: skip
 ALL_GAINS = "joint.torque_gain"  # with the damping of the motor
 ALONE = ("controller.internal_force.feedback=false", "controller.orientation_time_constant=50s")
+STIFF = tuple(  # all tasks at twice the bandwidth
+    f"controller.tasks.{task}.{gain}={value}"
+    for task, kp, kd, ki in (
+        ("com_x", 600, 40, 240), ("com_z", 1000, 50, 240), ("pitch", 1000, 50, 240), ("roll", 600, 40, 80),
+    )
+    for gain, value in (("kp", kp), ("kd", kd), ("ki", ki))
+)  # fmt: skip
 LATE = "3ms"
+_CHANGE = 2.5  # s: the robot stands when its gains change, so that getting up with them is no part of the question
 _JOINT = "left_knee"
 _MATTERS = 0.05  # a change by less is none
 _ERROR, _TRUE, _PLACE = "internal_force_error", "internal_force_error_truth", "com_error_rms"
+_OF_RUNS = {  # parts of runs with the position loop alone
+    "runs-smooth": "runs without dry friction and noise",
+    "runs": "runs with both",
+}
 _LINES = {  # parts that predict a boundary, with what is to be said of them
     "predicted": "position loop alone",
     "predicted-late": f"position loop alone, {LATE} of delay more",
@@ -41,18 +53,17 @@ _LINES = {  # parts that predict a boundary, with what is to be said of them
 def parts(quick: bool) -> tuple[Part, ...]:
     """What is run."""
     torques = f"{TORQUE}=0.5,2" if quick else f"{TORQUE}=0.25..4:5:log"
-    follow = (TASK, 0.7, 4.0, 0.2)
+    follow = (TASK, 0.7, 6.0, 0.2)
     alone = Loops("predicted", "stand", ALONE, (torques,), follow=follow)
-    runs = Runs(
-        "runs", "stand", (*ALONE, f"duration={'4s' if quick else '6s'}"),
-        (torques, f"{TASK}={'1,4' if quick else '1.4,2,2.8,4'}"), seeds=1 if quick else 2,
-    )  # fmt: skip
+    tasks = f"{TASK}={'1,4' if quick else '1,1.5,2,2.5,3,3.5,4'}"
+    last = f"duration={'5s' if quick else '6s'}"
+    runs = Runs("runs", "stand", (*ALONE, last), (torques, tasks), seeds=1 if quick else 2, at=_CHANGE)
     force = Runs(
         "force", "split-terrain", (f"duration={'4s' if quick else '6.5s'}",),
-        (torques, f"{FORCE}={'0,3' if quick else '0,1,3,6'}"), 1 if quick else 2, (_ERROR, _TRUE, _PLACE),
+        (torques, f"{FORCE}={'0,3' if quick else '0..3:4'}"), 1 if quick else 2, (_ERROR, _TRUE, _PLACE),
     )  # fmt: skip
     latency = Loops(
-        "latency", "stand", ALONE,
+        "latency", "stand", (*ALONE, *STIFF),
         (f"{DELAY}={'0ms,6ms' if quick else '0ms..12ms:5'}", f"{DAMPING}={'1,2' if quick else '0.5,0.7,1,1.4,2'}"),
     )  # fmt: skip
     if quick:
@@ -60,7 +71,14 @@ def parts(quick: bool) -> tuple[Part, ...]:
     late = Loops("predicted-late", "stand", (*ALONE, f"{DELAY}={LATE}"), (torques,), follow=follow)
     whole = Loops("predicted-whole", "stand", (), (torques,), follow=follow)
     damping = Loops("predicted-all-gains", "stand", ALONE, (torques.replace(TORQUE, ALL_GAINS),), follow=follow)
-    return alone, late, whole, damping, runs, force, latency
+    smooth = Runs(
+        "runs-smooth",
+        "stand",
+        (*ALONE, "world.friction_scale=0", "sensors.noise=0", last),
+        (torques, tasks),
+        at=_CHANGE,
+    )
+    return alone, late, whole, damping, runs, smooth, force, latency
 
 
 def torque_bandwidths(scenario: Scenario, factors: Sequence[float], key: str = TORQUE) -> np.ndarray:
@@ -114,6 +132,8 @@ def trade(bandwidths: np.ndarray, reached: np.ndarray) -> tuple[Verdict, str]:
     gained, lost = y[best] / y[-1] - 1.0, 1.0 - y[0] / y[best]
     rises, falls = gained > _MATTERS, lost > _MATTERS
     course = ", ".join(f"×{b:.2f} at {a:.0f} Hz" for a, b in zip(x[::-1], y[::-1], strict=True))
+    nowhere = ", ".join(f"{a:.0f} Hz" for a in bandwidths[reached == 0.0][::-1])
+    course += f" (none at {nowhere})" if nowhere else ""
     if rises and not falls:
         return "holds", f"{course}: it rises by {100 * gained:.0f} % as the torque bandwidth falls"
     if rises:
@@ -135,16 +155,16 @@ def _torque_against_position(found: Mapping[str, Answers]) -> Findings:
     factors = runs.values(0)
     hertz = torque_bandwidths(runs.scenario, factors.tolist())
     lines = {name: limits(found[name]) for name in _LINES if name in found}
-    of_runs = largest_stable(runs)
+    of_runs = {text: largest_stable(found[name]) for name, text in _OF_RUNS.items() if name in found}
     of_task = math.sqrt(runs.scenario.controller.tasks.com_x.kp) / (2.0 * math.pi)
     rows = []
     for n, factor in enumerate(factors):
         predicted = [text for name, line in lines.items() for text in (_shown(line[n]), _by(found[name].rows[n]))]
-        rows.append((f"×{factor:g}", f"{hertz[n]:.1f} Hz", *predicted, _shown(of_runs[n])))
+        rows.append((f"×{factor:g}", f"{hertz[n]:.1f} Hz", *predicted, *(_shown(line[n]) for line in of_runs.values())))
     heads = [text for name in lines for text in (f"predicted, {_LINES[name]}", "by")]
     table = Table(
         f"Largest stable bandwidth of the tasks (×1: natural frequency of CoM x {of_task:.2f} Hz)",
-        (TORQUE, f"torque bandwidth, {_JOINT}", *heads, "runs, with dry friction, position loop alone"), tuple(rows),
+        (TORQUE, f"torque bandwidth, {_JOINT}", *heads, *of_runs), tuple(rows),
     )  # fmt: skip
     tables = (table, *_all_gains(found))
     told = [(*trade(hertz, line), f"Predicted, {_LINES[name]}") for name, line in lines.items()]
@@ -152,7 +172,7 @@ def _torque_against_position(found: Mapping[str, Answers]) -> Findings:
         "A lower bandwidth of the torque loops lets the bandwidth of the position loop rise.",
         told[0][0],
         (*(f"{who}: {numbers}." for _, numbers, who in told),
-         f"Runs, position loop alone, with dry friction: {trade(hertz, of_runs)[1]}."),
+         *(f"{text[0].upper()}{text[1:]}: {trade(hertz, line)[1]}." for text, line in of_runs.items())),
     )  # fmt: skip
     tasks = runs.values(1)
     share = runs.grid("share")
@@ -205,8 +225,9 @@ def _accuracy(found: Mapping[str, Answers]) -> Findings:
     error, sensed, place, share = (answers.grid(name) for name in (_TRUE, _ERROR, _PLACE, "share"))
     own = int(np.argmin(np.abs(gains - answers.scenario.controller.internal_force.gain)))
     rows = tuple(
-        (f"×{factor:g}", f"{hertz[n]:.1f} Hz", f"{gain:g}", f"{100 * error[n, m]:.1f} %", f"{100 * sensed[n, m]:.1f} %",
-         f"{1e3 * place[n, m]:.2f} mm", answers.rows[n * len(gains) + m]["ends"])
+        (f"×{factor:g}", f"{hertz[n]:.1f} Hz", f"{gain:g}", _number(100 * error[n, m], 1, "%"),
+         _number(100 * sensed[n, m], 1, "%"), _number(1e3 * place[n, m], 2, "mm"),
+         answers.rows[n * len(gains) + m]["ends"])
         for n, factor in enumerate(factors) for m, gain in enumerate(gains)
     )  # fmt: skip
     table = Table(
@@ -240,6 +261,10 @@ def _accuracy(found: Mapping[str, Answers]) -> Findings:
     return Findings((claim,), (table,), (field,))
 
 
+def _number(value: float, digits: int, unit: str) -> str:
+    return "–" if math.isnan(value) else f"{value:.{digits}f} {unit}"
+
+
 def make_up(
     hertz: np.ndarray, without: np.ndarray, with_it: np.ndarray, gain: float
 ) -> tuple[Verdict, tuple[str, ...]]:
@@ -252,8 +277,9 @@ def make_up(
         f"by {100 * without[0]:.1f} % at {hertz[0]:.0f} Hz: detuning {'costs' if costs else 'does not cost'} accuracy."
     )
     second = (
-        f"With K_F = {gain:g} it is off by {100 * with_it[-1]:.1f} % and {100 * with_it[0]:.1f} %: the slowest torque "
-        f"loop with feedback is {'better' if makes_up else 'no better'} than the fastest without."
+        f"With K_F = {gain:g} it is off by {100 * with_it[-1]:.1f} % and {100 * with_it[0]:.1f} %: of the slowest "
+        f"loop's error feedback takes {100 * (1 - with_it[0] / without[0]):.0f} %, which makes it "
+        f"{'better' if makes_up else 'no better'} than the fastest without."
     )
     verdict: Verdict = "holds" if costs and makes_up else "holds in part" if costs or makes_up else "does not hold"
     return verdict, (first, second)

@@ -16,6 +16,7 @@ from hil.lab.axes import Axis, axis
 from hil.lab.linear.questions import Follow, LinearPlan, answers
 from hil.lab.quantity import quantity
 from hil.lab.sweep import Plan, Row, Runner, sweep
+from hil.lab.transplant import run_standing_cell
 from hil.scenario import Scenario, load
 
 Told = Callable[[int], None]  # is told how many of a part's answers there are
@@ -64,8 +65,9 @@ class Part:
 
 @dataclass(frozen=True)
 class Runs(Part):
-    """Whole runs with ``seeds`` seeds. A row: share of stable runs; how they end, the most frequent reason of those
-    that are not stable if half of them are not; medians of metrics over the seeds, by their names."""
+    """Whole runs with ``seeds`` seeds, from the start or, with ``at`` > 0, of a robot that stood up without what is
+    varied, which changes then. A row: share of stable runs; how they end, with the most frequent reason of
+    those that are not stable; medians of metrics over the seeds, by their names."""
 
     seeds: int = 1
     metrics: tuple[str, ...] = ()
@@ -80,7 +82,8 @@ class Runs(Part):
 
     def run(self, directory: Path, runner: Runner, told: Told) -> Answers:
         plan = self._plan()
-        cells = sweep(plan, directory, runner, lambda done, *_: told(done))
+        chosen = runner if not self.at else lambda _, calls: runner(run_standing_cell, calls)
+        cells = sweep(plan, directory, chosen, lambda done, *_: told(done))
         rows = [self._of_point([cells[point, seed] for seed in range(self.seeds)]) for point in range(len(plan.points))]
         return Answers(plan.scenario, plan.axes, rows)
 
@@ -91,7 +94,8 @@ class Runs(Part):
         for name in self.metrics:
             known = [run["metrics"][name] for run in runs if run["metrics"].get(name) is not None]
             medians[name] = statistics.median(known) if known else None
-        return {"share": share, "ends": max(failed, key=failed.count) if share <= 0.5 else "stable", **medians}
+        ends = f"{len(failed)} of {len(runs)}: {max(failed, key=failed.count)}" if failed else "stable"
+        return {"share": share, "ends": ends, **medians}
 
 
 @dataclass(frozen=True)
