@@ -53,7 +53,7 @@ _LINES = {  # parts that predict a boundary, with what is to be said of them
 def parts(quick: bool) -> tuple[Part, ...]:
     """What is run."""
     torques = f"{TORQUE}=0.5,2" if quick else f"{TORQUE}=0.25..4:5:log"
-    follow = (TASK, 0.7, 6.0, 0.2)
+    follow = (TASK, 0.8, 5.0, 0.2)
     alone = Loops("predicted", "stand", ALONE, (torques,), follow=follow)
     tasks = f"{TASK}={'1,4' if quick else '1,1.5,2,2.5,3,3.5,4'}"
     last = f"duration={'5s' if quick else '6s'}"

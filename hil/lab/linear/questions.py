@@ -4,7 +4,7 @@ be spread over processes, and that go on where they were ended, like a sweep's."
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -20,9 +20,10 @@ from hil.lab.quantity import Quantity, Value
 from hil.lab.sweep import Row, Runner
 from hil.scenario import Scenario
 
-# Of the usual displacements: with tasks several times as stiff those would lift a foot, which shows as noise of the
-# identified matrices (more than 1 in place of 0.01).
-_SCALE = 0.25
+# Of the usual displacements: with stiff tasks these would lift a foot, which shows as noise of the identified matrices
+# (more than 1); much smaller ones are lost in the rounding of the messages, which shows there too.
+_SCALES = (0.25, 0.1, 0.05)
+_CLEAN = 0.05  # noise below which no other scale is tried
 _SLOWEST, _FASTEST = 0.5, 100.0  # Hz: of oscillations; what is faster are samples that alternate
 
 
@@ -72,7 +73,7 @@ class LinearPlan:
             "scenario": self.scenario.model_dump(mode="json"),
             "axes": written(self.axes),
             "at": self.at,
-            "scale": _SCALE,
+            "scales": list(_SCALES),
             "follow": follow and [follow.quantity.key, follow.near, follow.far, follow.resolution],
             "versions": {name: machine[name] for name in machine if name not in ("python", "platform", "compiler")},
             "machine": {name: machine[name] for name in ("python", "platform", "compiler")},
@@ -115,18 +116,31 @@ def _home(scenario: Scenario, at: float) -> OperatingPoint:
 def _answer(point: OperatingPoint, values: dict[Quantity, Value], follow: Follow | None) -> Row:
     if follow is not None:
         return boundary(point, follow)
-    return oscillation(point.linearise({q.key: value for q, value in values.items() if q.injectable}, _SCALE))
+    return oscillation(gently(point, {q.key: value for q, value in values.items() if q.injectable}))
+
+
+def gently(point: OperatingPoint, values: Mapping[str, Value] | None = None) -> Linearisation:
+    """The loop with injectable ``values`` (SI), by displacements of the size that leaves least noise."""
+    best: Linearisation | None = None
+    for scale in _SCALES:
+        found = point.linearise(values, scale)
+        if best is None or found.noise < best.noise:
+            best = found
+        if best.noise < _CLEAN:
+            break
+    assert best is not None
+    return best
 
 
 @dataclass(frozen=True)
 class _Gently:
-    """A point (``hil.lab.linear.prediction.Point``) with the smaller displacements."""
+    """A point (``hil.lab.linear.prediction.Point``), linearised ``gently``."""
 
     point: OperatingPoint
 
     def with_value(self, quantity: Quantity, value: Value) -> Linearisation:
         with self.point.elsewhere(quantity, value) as moved:
-            return moved.linearise(scale=_SCALE)
+            return gently(moved)
 
 
 def oscillation(loop: Linearisation) -> Row:

@@ -11,7 +11,7 @@ from hil.errors import UserError
 from hil.lab.axes import axis
 from hil.lab.cell_journal import CELLS_FILE
 from hil.lab.linear.operating_point import OperatingPoint
-from hil.lab.linear.questions import LinearPlan, oscillation
+from hil.lab.linear.questions import LinearPlan, gently, oscillation
 from hil.lab.quantity import quantity
 from hil.lab.workers import parallel
 from hil.scenario import load
@@ -53,8 +53,8 @@ def done(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Answ
 def test_loops_are_those_of_the_standing_robot(done: tuple[Path, dict[str, Answers]]) -> None:
     scenario = load("stand", list(STANDS))
     damping = quantity(scenario, "controller.task_damping")
-    with OperatingPoint(scenario, 1.2) as home:
-        expected = oscillation(home.with_value(damping, 2.0))
+    with OperatingPoint(scenario, 1.2) as home, home.elsewhere(damping, 2.0) as point:
+        expected = oscillation(gently(point))
     found = done[1]["loops"].rows[1]
     assert found == {
         key: pytest.approx(value) if isinstance(value, float) else value for key, value in expected.items()
