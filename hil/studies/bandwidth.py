@@ -248,7 +248,10 @@ def _accuracy(found: Mapping[str, Answers]) -> Findings:
          f"{1e3 * place[middle, own]:.2f} mm with feedback (gain ×{factors[middle]:g})."),
     )  # fmt: skip
     text = tuple(
-        tuple(f"{100 * error[n, m]:.1f} %" + ("" if share[n, m] > 0.5 else "\nfails") for n in range(len(factors)))
+        tuple(
+            f"{100 * error[n, m]:.1f} %" + ("" if share[n, m] == 1.0 else f"\n{100 * (1.0 - share[n, m]):.0f} % fail")
+            for n in range(len(factors))
+        )
         for m in range(len(gains))
     )
     field = Field(
