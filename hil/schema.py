@@ -42,7 +42,9 @@ def sentence(error: Any, model: type[BaseModel]) -> str:
 def _expectation(error: Any, kind: Any, unit: str | None) -> str:
     context = error.get("ctx", {})
     of_unit = f" {unit}" if unit else ""
-    bounds = [f"expected {words} {context[key]:g}{of_unit}" for key, words in _BOUNDS.items() if key in context]
+    bounds = [
+        f"expected {words} {context[key]:g}{of_unit}" for key, words in _BOUNDS.items() if key in context
+    ]
     if bounds:
         return bounds[0]
     match error["type"]:
@@ -183,4 +185,6 @@ def _toml(value: Any) -> str:
         return "{ " + ", ".join(f"{k} = {_toml(v)}" for k, v in value.items()) + " }"
     if isinstance(value, list):
         return "[" + ", ".join(_toml(v) for v in value) + "]"
-    return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")  # TOML wants DEL escaped, JSON does not
+    return json.dumps(value, ensure_ascii=False).replace(
+        "\x7f", "\\u007f"
+    )  # TOML wants DEL escaped, JSON does not

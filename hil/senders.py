@@ -51,7 +51,9 @@ class Senders:
         """When the joints that have clocks of their own tick within the world's tick at ``now_ns``."""
         return {joint: clock.offsets(now_ns) for joint, clock in self.clocks.items()}
 
-    def offer(self, now_ns: int, outboxes: Sequence[Sequence[Frame]], offsets: Offsets = _NONE, tick: int = 0) -> None:
+    def offer(
+        self, now_ns: int, outboxes: Sequence[Sequence[Frame]], offsets: Offsets = _NONE, tick: int = 0
+    ) -> None:
         """What the joints have sent in their first (0) or second (1) tick within one of the world."""
         node_ids = self._node_ids
         for joint, frames in enumerate(outboxes):

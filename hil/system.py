@@ -102,7 +102,8 @@ class System:
 
         self._joint_count = len(robot.joints)
         self.wires = [
-            Wire(bus.name, scenario.bus[bus.name], len(bus.joints) + 2 + Faults.PORTS, streams) for bus in robot.buses
+            Wire(bus.name, scenario.bus[bus.name], len(bus.joints) + 2 + Faults.PORTS, streams)
+            for bus in robot.buses
         ]
         self._tool_port = [wire.ports - 1 for wire in self.wires]
         order = {name: index for index, name in enumerate(robot.joint_names)}
@@ -449,3 +450,5 @@ class System:
             self.ring.clear()
         if self.monitor is not None:
             self.monitor.restore(state["monitor"])
+
+

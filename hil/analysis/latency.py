@@ -25,7 +25,9 @@ def state_latencies(log: Path, firmware_rate: float, report_rate: float) -> tupl
     if not found:
         return np.empty(0), np.empty(0)
     seconds, nanoseconds, counters = zip(*found, strict=True)
-    delivered = np.array(seconds, dtype="S").astype(np.int64) * 10**9 + np.array(nanoseconds, "S9").astype(np.int64)
+    delivered = np.array(seconds, dtype="S").astype(np.int64) * 10**9 + np.array(nanoseconds, "S9").astype(
+        np.int64
+    )
     echoed = np.array([int.from_bytes(bytes.fromhex(c.decode()), "little") for c in counters])
     ratio = round(firmware_rate / report_rate)
     tick = (delivered + 1) * int(firmware_rate) // 10**9  # tick k is at k * 10**9 // rate

@@ -213,6 +213,7 @@ class LoadedLaw:
         """One step; ``counts`` (int32) as the law's."""
         self.code.joint_law_step(self.address, ctypes.c_void_p(counts.ctypes.data))
 
+
     def steps(self, counts: np.ndarray, number: int) -> None:
         """``number`` steps on the same ``counts``."""
         self.code.bench_steps(self.address, ctypes.c_void_p(counts.ctypes.data), 1, number)

@@ -223,7 +223,9 @@ class Tracking(NamedTuple):
         return Tracking(self.seconds[shown], self.commanded[shown], self.sensed[shown])
 
 
-def follow(setup: Setup, loop: Loop, boarded: bool, exercise: Exercise, directory: Path | None = None) -> Tracking:
+def follow(
+    setup: Setup, loop: Loop, boarded: bool, exercise: Exercise, directory: Path | None = None
+) -> Tracking:
     """Go through ``exercise`` from when the drive is enabled, the loop on board if ``boarded``; log in ``directory``.
 
     Raises EmulationError when the drive does not bear it.

@@ -55,7 +55,12 @@ def run(campaign: Campaign, jobs: int = 1, out: Path | None = None) -> Iterator[
     groups: dict[str, list[Trial]] = {}
     for trial in complete:
         groups.setdefault(f"{trial.at} {trial.scenario.model_dump_json()}", []).append(trial)
-    calls = [(part, seed, out) for seed in campaign.seeds for group in groups.values() for part in _parts(group, jobs)]
+    calls = [
+        (part, seed, out)
+        for seed in campaign.seeds
+        for group in groups.values()
+        for part in _parts(group, jobs)
+    ]
     for results in parallel(_run_group, calls, jobs):
         yield from results
 

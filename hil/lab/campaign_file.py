@@ -160,7 +160,9 @@ def _trial(campaign: Campaign, row: Row) -> Trial:
         raise UserError('within is missing: the time that the drive has for expect = "safe_state", as "50ms"')
     if row.expect == "stable" and (row.within is not None or row.may_fall or row.joint is not None):
         raise UserError('within, may_fall and joint belong to expect = "safe_state"')
-    return Trial(row=row, scenario=scenario, faults=row.faults if at > 0 else {}, at=at, until=row.until, joint=joint)
+    return Trial(
+        row=row, scenario=scenario, faults=row.faults if at > 0 else {}, at=at, until=row.until, joint=joint
+    )
 
 
 def _joint(row: Row, robot: description.Robot) -> str | None:

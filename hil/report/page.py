@@ -14,7 +14,9 @@ from hil.report.html import document, folded, picture, verdict
 from robots import description
 
 
-def _row(name: str, value: float | None, scale: float, unit: str, limit: float | None = None, note: str = "") -> str:
+def _row(
+    name: str, value: float | None, scale: float, unit: str, limit: float | None = None, note: str = ""
+) -> str:
     """A row of the table of numbers; a value beyond ``limit`` (in the value's own unit) stands out."""
     number = "–" if value is None else f"{value * scale:.4g}"
     beyond = limit is not None and value is not None and value > limit

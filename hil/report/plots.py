@@ -128,13 +128,19 @@ class _Drawing:
         rows = -(-len(joints) // 3)
         figure, axes = _figure(rows, 3, height=2.5 * rows)
         for ax, joint in zip(np.ravel(axes), joints, strict=False):
-            _line(ax, controller.seconds, controller[f"torque_command.{joint}"], color="0.6", label="commanded")
-            _line(ax, controller.seconds, controller[f"torque_sensed.{joint}"], color="tab:blue", label="sensed")
+            _line(
+                ax, controller.seconds, controller[f"torque_command.{joint}"], color="0.6", label="commanded"
+            )
+            _line(
+                ax, controller.seconds, controller[f"torque_sensed.{joint}"], color="tab:blue", label="sensed"
+            )
             self._over_time(ax, "torque [N m]")
             ax.set_title(joint.replace("_", " "), fontsize=10)
         np.ravel(axes)[0].legend(fontsize=8)
         limit = self.configuration["firmware"]["torque_limit"]
-        return Plot("Joint torques", f"At the joint. The drives limit them to ±{limit:g} N m.", encoded(figure))
+        return Plot(
+            "Joint torques", f"At the joint. The drives limit them to ±{limit:g} N m.", encoded(figure)
+        )
 
     def _buses(self) -> Plot:
         bus, firmware = self.run.bus, self.configuration["firmware"]
@@ -192,7 +198,9 @@ class _Drawing:
         for name, colour in (("roll", "tab:blue"), ("pitch", "tab:orange")):
             _line(tilt, world.seconds, np.degrees(world[f"base.{name}"]), label=f"{name}, true", color=colour)
             angles = np.degrees(controller[name])
-            _line(tilt, controller.seconds, angles, label="estimated", color=colour, alpha=0.6, linestyle="--")
+            _line(
+                tilt, controller.seconds, angles, label="estimated", color=colour, alpha=0.6, linestyle="--"
+            )
         limit = np.degrees(self.limits["orientation_error"])
         _limit(tilt, limit, "limit ±")
         _limit(tilt, -limit, "")
