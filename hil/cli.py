@@ -132,7 +132,7 @@ def _parser() -> argparse.ArgumentParser:
 
     joint_command.add_parser(commands)
     from hil.commands import bisect, campaign, compare, diff, estimators, gait, linearise, margin, protection, replay
-    from hil.commands import rerun, sweep
+    from hil.commands import rerun, study, sweep
     from hil.commands import map as map_command
 
     replay.add_parser(commands)
@@ -147,6 +147,7 @@ def _parser() -> argparse.ArgumentParser:
     sweep.add_parser(commands)
     map_command.add_parser(commands)
     gait.add_parser(commands)
+    study.add_parser(commands)
     eds.add_parser(commands)
     export.add_parser(commands)
     estimators.add_parser(commands)

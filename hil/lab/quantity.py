@@ -10,8 +10,9 @@ from __future__ import annotations
 import difflib
 import math
 import tomllib
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Literal
 
 from hil import schema
@@ -117,7 +118,7 @@ def changed(scenario: Scenario, values: dict[str, Value]) -> Scenario:
     data = as_written(scenario)
     for key, value in values.items():
         if key in DERIVED:
-            DERIVED[key](data, float(value))
+            DERIVED[key](data, factor=float(value))
         else:
             assign(data, key, value)
     return complete(data, scenario.name)
@@ -143,17 +144,34 @@ def _present(scenario: Scenario, key: str) -> bool:
     return not parent or _value(scenario, parent) is not None
 
 
-def _scale_torque_gains(data: dict[str, Any], factor: float) -> None:
-    """All gains of all torque loops; their ratios, and with them the shape of the loop, stay."""
+def _scaled_torque_gains(data: dict[str, Any], powers: Mapping[str, float], factor: float) -> None:
     firmware = data["firmware"]
     tables = [firmware["stance"], firmware["swing"]]
     tables += [own for joint in firmware.get("joints", {}).values() for own in joint.values()]
+    _scaled(tables, powers, factor)
+
+
+def _scaled_task_gains(data: dict[str, Any], powers: Mapping[str, float], factor: float) -> None:
+    _scaled([gains for gains in data["controller"]["tasks"].values() if isinstance(gains, dict)], powers, factor)
+
+
+def _scaled(tables: Iterable[dict[str, Any]], powers: Mapping[str, float], factor: float) -> None:
     for gains in tables:
         for name, written in gains.items():
+            if name not in powers:
+                continue
             number, _, unit = str(written).partition(" ")
-            value = factor * float(number)
+            value = factor ** powers[name] * float(number)
             gains[name] = f"{value!r} {unit}" if unit else value
 
 
-# Factors, 1 by default, that act on a scenario as it is written.
-DERIVED: dict[str, Callable[[dict[str, Any], float], None]] = {"joint.torque_gain": _scale_torque_gains}
+# Factors, 1 by default, that act on a scenario as it is written: each gain times the factor to this power.
+DERIVED: dict[str, Callable[..., None]] = {
+    # all gains of all torque loops: their ratios, and with them the shape of the loop, stay
+    "joint.torque_gain": partial(_scaled_torque_gains, powers={"kp": 1, "ki": 1, "kd": 1}),
+    # what is fed back of the torque; the damping of the motor stays
+    "joint.torque_feedback": partial(_scaled_torque_gains, powers={"kp": 1, "ki": 1}),
+    # all gains of all tasks: s → s / factor, the damping ratios stay
+    "controller.task_bandwidth": partial(_scaled_task_gains, powers={"kp": 2, "kd": 1, "ki": 3}),
+    "controller.task_damping": partial(_scaled_task_gains, powers={"kd": 1}),
+}

@@ -19,7 +19,7 @@ from typing import Any
 from hil.errors import UserError
 from hil.lab.axes import Axis, points, written
 from hil.lab.cell_journal import Cell, CellJournal, write_durably
-from hil.lab.experiment import Trials
+from hil.lab.experiment import Outcome, Trials
 from hil.lab.quantity import Quantity, Value, changed
 from hil.lab.statistics import share_interval
 from hil.scenario import Scenario
@@ -126,16 +126,21 @@ def run_cell(scenario: Scenario, at: float, values: dict[Quantity, Value], cell:
     before, began = trials.simulated, time.thread_time()
     try:
         found = trials.outcome(values, cell[1])
-        row = {
-            "verdict": "stable" if found.stable else "unstable",
-            "reason": found.reason,
-            "simulated": found.simulated,
-            "metrics": dict(flat(found.metrics)),
-            "digest": found.digest,
-        }
+        row = row_of(found)
     except UserError as error:  # a stance that cannot be: known only when the robot is put there
         row = {"verdict": "refused", "reason": str(error), "simulated": 0.0, "metrics": {}, "digest": None}
     return cell, {**row, "simulated_here": trials.simulated - before, "cpu": time.thread_time() - began}
+
+
+def row_of(found: Outcome) -> Row:
+    """A row, without what it cost."""
+    return {
+        "verdict": "stable" if found.stable else "unstable",
+        "reason": found.reason,
+        "simulated": found.simulated,
+        "metrics": dict(flat(found.metrics)),
+        "digest": found.digest,
+    }
 
 
 def flat(metrics: dict[str, Any], path: str = "") -> Iterator[tuple[str, float | None]]:

@@ -11,6 +11,7 @@ from hil.errors import UserError
 from hil.lab.linear.linearisation import Linearisation
 from hil.lab.linear.standing import StandingSection, hyper_period
 from hil.lab.quantity import Quantity, Value, changed, quantity
+from hil.lab.transplant import movable, moved
 from hil.run import Request, assemble
 from hil.scenario import Scenario
 from robots.description import Robot
@@ -29,12 +30,6 @@ _FINER_ENCODER, _FINER = 4e3, 1e5  # encoders of angles; spring encoders, load c
 _FINER_GYRO, _FINER_ACCELEROMETER = 10.0, 2.0
 
 _STEP, _REST = 1e-3, 3e-3  # s: a delay grows in such steps, each after such a rest: its gaps must not wake the watchdog
-# Keys of what a standing robot can be given, and among them those that it must have had while it stood up.
-_MOVABLE = ("controller.", "firmware.", "joint.")
-_NOT_MOVABLE = (
-    "controller.rate", "controller.variant", "firmware.rate", "firmware.report_rate", "firmware.law",
-    "firmware.velocity_estimator",
-)  # fmt: skip
 _CALM = 0.02  # s from the last change to the section
 
 
@@ -66,26 +61,6 @@ def fine(robot: Robot) -> Robot:
             "accelerometer_resolution": imu.accelerometer_resolution / _FINER_ACCELEROMETER,
         })  # fmt: skip
     return robot.model_copy(update={"joints": joints, "imu": imu})
-
-
-def _moved(settled: dict[str, Any], fresh: dict[str, Any]) -> dict[str, Any]:
-    """Snapshot ``settled`` with what is configuration in it replaced by that of ``fresh``, of another system."""
-    world = settled["world"]
-    return {
-        **settled,
-        "world": {**world, "actuators": (*world["actuators"][:-1], fresh["world"]["actuators"][-1])},  # parameters
-        "joints": [
-            {**old, "settings": (new["settings"][0], *old["settings"][1:])}  # what it has measured of itself stays
-            for old, new in zip(settled["joints"], fresh["joints"], strict=True)
-        ],
-        "links": {
-            path: {**old, "impairment": fresh["links"][path]["impairment"]} for path, old in settled["links"].items()
-        },
-        "wires": [
-            {**old, "impairment": new["impairment"]} for old, new in zip(settled["wires"], fresh["wires"], strict=True)
-        ],
-        "injector": fresh["injector"],
-    }
 
 
 class OperatingPoint:
@@ -122,7 +97,7 @@ class OperatingPoint:
             self.system.monitor = None  # it watches what goes on for long, not what is taken back
         else:
             self.system.monitor = None
-            self.system.restore(_moved(settled, self.system.snapshot()))
+            self.system.restore(moved(settled, self.system.snapshot()))
             self._run(self.now + _CALM)
         self._settled = self.system.snapshot()
 
@@ -130,8 +105,7 @@ class OperatingPoint:
         """The robot as it stands here in a system where ``quantity`` has another value, if it can be put there;
         else one that has stood up with it."""
         scenario = quantity.applied(self.scenario, value)
-        movable = quantity.key.startswith(_MOVABLE) and not quantity.key.startswith(_NOT_MOVABLE)
-        return OperatingPoint(scenario, self.at, self._settled if movable else None)
+        return OperatingPoint(scenario, self.at, self._settled if movable(quantity) else None)
 
     def __enter__(self) -> Self:
         return self

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -125,6 +126,29 @@ def test_the_torque_gain_scales_every_gain_of_every_drive(factor: float) -> None
             nominal = getattr(getattr(SPLIT.firmware, name), gain)
             assert getattr(getattr(scaled, name), gain) == pytest.approx(factor * nominal)
     assert changed(SPLIT, {"joint.torque_gain": 1.0}) == SPLIT
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.floats(0.1, 10))
+def test_the_torque_feedback_leaves_the_motor_s_damping(factor: float) -> None:
+    nominal, scaled = SPLIT.firmware.swing, changed(SPLIT, {"joint.torque_feedback": factor}).firmware.swing
+    assert (scaled.kp, scaled.ki) == pytest.approx((factor * nominal.kp, factor * nominal.ki))
+    assert scaled.kd == nominal.kd
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.floats(0.1, 10))
+def test_the_task_bandwidth_moves_the_poles_of_a_task_along_their_rays(factor: float) -> None:
+    nominal = SPLIT.controller.tasks
+    scaled = changed(SPLIT, {"controller.task_bandwidth": factor}).controller.tasks
+    for name in ("com_x", "com_z", "pitch", "roll"):
+        poles = [np.roots([1.0, g.kd, g.kp, g.ki]) for g in (getattr(nominal, name), getattr(scaled, name))]
+        np.testing.assert_allclose(np.sort_complex(poles[1]), factor * np.sort_complex(poles[0]), rtol=1e-9)
+
+
+def test_the_task_damping_scales_kd_alone_and_factors_combine() -> None:
+    both = changed(SPLIT, {"controller.task_damping": 0.5, "controller.task_bandwidth": 2.0}).controller.tasks.roll
+    assert (both.kp, both.kd, both.ki) == pytest.approx((600.0, 20.0, 80.0))
 
 
 def test_a_mass_error_scales_the_plant_s_weight_and_inertia() -> None:
