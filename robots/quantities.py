@@ -91,6 +91,7 @@ TorquePerRadian = _quantity("N m/rad", ge=0)
 TorquePerRate = _quantity("N m s/rad", ge=0)
 TorqueRate = _quantity("N m/s", gt=0)
 RadiansPerSecond = _quantity("rad/s")
+MetresPerSecond = _quantity("m/s")
 FrameRate = _quantity("Hz", ge=0, le=1e5)  # 0: none
 PartsPerMillion = _quantity("ppm", ge=-1e5, le=1e5)
 
