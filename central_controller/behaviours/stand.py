@@ -8,7 +8,7 @@ import numpy as np
 
 from bus import messages
 from bus.messages import GainSet, Mode
-from central_controller.behaviours.behaviour import Compile, Phase, Setpoints, Workspace
+from central_controller.behaviours.behaviour import Compile, Phase, Setpoints, Workspace, ramp
 from central_controller.binding import Bound
 from central_controller.estimator import filter_constants
 from central_controller.law import control, memory_size
@@ -73,8 +73,3 @@ class Stand:
     def restore(self, state: Any) -> None:
         for name, value in zip(self._ARRAYS, state, strict=True):
             getattr(self, name)[:] = value  # in place: the compiled functions are bound to the arrays
-
-
-def ramp(length: float, rate: float, since_ns: int) -> float:
-    """Share, 0 to 1, of torques that grow over ``length`` [s], ``since_ns`` after they began."""
-    return min(since_ns * 1e-9 / max(length, 1.0 / rate), 1.0)
