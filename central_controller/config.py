@@ -7,15 +7,9 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from central_controller.planning.config import OpenLoopConfig
+from central_controller.stepping_config import StepConfig
+from central_controller.task_gains import TaskGains
 from robots.quantities import Config, Gain, Hertz, Metres, Newtons, Seconds
-
-
-class TaskGains(Config):
-    """PID of one task coordinate, in accelerations: kp [1/s²], kd [1/s], ki [1/s³]."""
-
-    kp: Gain
-    kd: Gain
-    ki: Gain = 0.0
 
 
 class TaskSetConfig(Config):
@@ -58,7 +52,7 @@ class MotionCaptureFilterConfig(Config):
 class ControllerConfig(Config):
     """The central controller: timing, model, tasks."""
 
-    behaviour: Literal["stand", "open_loop"] = "stand"
+    behaviour: Literal["stand", "step", "open_loop"] = "stand"
     rate: Hertz = 1500.0
     phase: Seconds = 270e-6  # of its tick behind the joints' sample: all drive states have arrived by then
     compute_time: Seconds = 200e-6  # from its tick to its commands (Kim 2018 §7.1.1: 0.2 ms for WBOSC)
@@ -73,3 +67,4 @@ class ControllerConfig(Config):
     internal_force: InternalForceConfig = InternalForceConfig()
     path: PathConfig = PathConfig()
     open_loop: OpenLoopConfig = OpenLoopConfig()
+    stepping: StepConfig = StepConfig()

@@ -239,7 +239,8 @@ class Controller:
         self.telemetry[: len(behaviour)] = behaviour
         if self._orientation is not None:
             self.telemetry[len(behaviour) : -len(_NODE_FIELDS)] = self._orientation.telemetry
-        self.telemetry[-len(_NODE_FIELDS) :] = (now_ns - min(self._arrivals)) * 1e-9, self._phase, self._missed, self._malformed
+        age = (now_ns - min(self._arrivals)) * 1e-9
+        self.telemetry[-len(_NODE_FIELDS) :] = age, self._phase, self._missed, self._malformed
         return [
             (bus, messages.COMMAND, messages.encode_command(counter, [setpoints[joint] for joint in joints]))
             for bus, joints in enumerate(self._buses)

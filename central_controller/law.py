@@ -50,7 +50,7 @@ def _split_memory(memory: ca.SX, joints: int) -> list[ca.SX]:
     return ca.vertsplit(memory, [0, 4, 4 + joints, 8 + joints, 9 + joints, 10 + joints])
 
 
-def _measured(counts: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
+def measured(counts: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
     """Joint positions [rad], velocities [rad/s] and torques [N m] from the drives' fixed-point numbers (joints, 3)."""
     return (
         counts[:, 0] * messages.RADIAN,
@@ -66,7 +66,7 @@ def predict(joints: int) -> ca.Function:
     gyro, zero, force = (ca.SX.sym(name, 3) for name in ("gyro", "zero", "force"))
     memory, filters = ca.SX.sym("estimate", 4 + joints), ca.SX.sym("filters", 5)
     quaternion, filtered = ca.vertsplit(memory, [0, 4, 4 + joints])
-    position, velocity, _ = _measured(counts)
+    position, velocity, _ = measured(counts)
     rate = gyro - zero
     filtered += filters[3] * (velocity - filtered)
     q = ca.vertcat(ca.SX.zeros(3), turned(quaternion, rate, force, filters), position)
@@ -104,7 +104,7 @@ def control(model: RobotModel) -> ca.Function:
         "internal_force": ca.SX.sym("internal_force", 2),
     }
     quaternion, v = inputs["q"][3:7], inputs["v"]
-    position, _, sensed = _measured(inputs["counts"])
+    position, _, sensed = measured(inputs["counts"])
     _, _, integral, heading, felt_force = _split_memory(inputs["memory"], joints)
     running, integrate, share, path_time = ca.vertsplit(inputs["schedule"])
     wanted_force, force_gain = ca.vertsplit(inputs["internal_force"])
@@ -129,9 +129,9 @@ def control(model: RobotModel) -> ca.Function:
     # or what feedback adds to a share of the weight leaves the friction cone.
     demanded_force = wanted_force + integrate * force_gain * (wanted_force - felt_force)
     line = terms.feet[:, 0] - terms.feet[:, 1]
-    torque, _, internal = whole_body_control(2, 4)(
-        terms.A, terms.h, terms.Js, terms.Jsdot_dq, terms.Jt, terms.Jtdot_dq, u,
-        line / ca.sqrt(ca.dot(line, line)), demanded_force, sensed,
+    torque, _, _, internal = whole_body_control(2, 4)(
+        terms.A, terms.h, terms.Js, terms.Jsdot_dq, terms.Jt, terms.Jtdot_dq, u, sensed,
+        line / ca.sqrt(ca.dot(line, line)), demanded_force,
     )  # fmt: skip
     felt_force += inputs["filters"][4] * (internal - felt_force)
     telemetry = ca.vertcat(

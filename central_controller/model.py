@@ -9,6 +9,7 @@ controller's tick can be one compiled function that reads pinocchio's memory whe
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import casadi as ca
@@ -20,6 +21,7 @@ from central_controller.rotations import rotation_matrix
 from robots.description import Robot
 
 TASKS = ("com_x", "com_z", "pitch", "roll")  # double-support task set (Kim 2018 §5.1.2)
+COORDINATES = ("com_x", "com_y", "com_z", "yaw", "pitch", "roll")  # that can be in a set
 BASE = 6  # degrees of freedom of the floating base
 
 
@@ -30,15 +32,15 @@ class Terms(NamedTuple):
     h: ca.SX  # Coriolis, centrifugal and gravity forces (n,)
     Js: ca.SX  # feet Jacobian (6, n), right foot first, world-aligned
     Jsdot_dq: ca.SX  # its bias acceleration (6,)
-    Jt: ca.SX  # Jacobian (4, n) of TASKS
-    Jtdot_dq: ca.SX  # its bias acceleration (4,)
+    Jt: ca.SX  # Jacobian (tasks, n), by default of TASKS
+    Jtdot_dq: ca.SX  # its bias acceleration (tasks,)
     com: ca.SX  # (3,)
     com_velocity: ca.SX  # (3,)
     feet: ca.SX  # positions (3, 2)
     feet_velocity: ca.SX  # (3, 2)
     rpy: ca.SX  # roll, pitch, yaw [rad] of the base (Z-Y-X angles)
-    task: ca.SX  # values (4,) of TASKS
-    task_velocity: ca.SX  # (4,)
+    task: ca.SX  # values (tasks,)
+    task_velocity: ca.SX  # (tasks,)
 
 
 class RobotModel:
@@ -113,9 +115,11 @@ class RobotModel:
         """A symbol for each of ``sources``."""
         return {name: ca.SX.sym(name, *view.shape) for name, view in self.sources.items()}
 
-    def terms(self, sources: dict[str, ca.SX], quaternion: ca.SX, rate: ca.SX) -> Terms:
-        """What whole-body control needs, from pinocchio's results, the base's orientation and its angular velocity
-        in its own frame."""
+    def terms(
+        self, sources: dict[str, ca.SX], quaternion: ca.SX, rate: ca.SX, tasks: Sequence[str] = TASKS
+    ) -> Terms:
+        """What whole-body control of ``tasks`` (of COORDINATES) needs, from pinocchio's results, the base's orientation
+        and its angular velocity in its own frame."""
         A, h = ca.triu2symm(ca.triu(sources["M"])), sources["nle"]
         rotation = rotation_matrix(quaternion)
         feet, velocities, jacobians, biases = zip(
@@ -126,20 +130,26 @@ class RobotModel:
         com_bias = rotation @ h[:3] / A[0, 0] + self._gravity
         rpy, rates, rows, bias = _orientation(rotation, rate)
         pad = ca.SX(1, self.nv - BASE)
+        jacobian = dict(zip(COORDINATES, [
+            *(Jcom[i, :] for i in range(3)), *(ca.horzcat(ca.SX(1, 3), row, pad) for row in rows)
+        ], strict=True))  # fmt: skip
+        biases_of = dict(zip(COORDINATES, [*ca.vertsplit(com_bias), *bias], strict=True))
+        value = dict(zip(COORDINATES, [*ca.vertsplit(com), rpy[2], rpy[1], rpy[0]], strict=True))
+        speed = dict(zip(COORDINATES, [*ca.vertsplit(com_velocity), *rates], strict=True))
         return Terms(
             A=A,
             h=h,
             Js=ca.vertcat(*jacobians),
             Jsdot_dq=ca.vertcat(*biases),
-            Jt=ca.vertcat(Jcom[0, :], Jcom[2, :], *(ca.horzcat(ca.SX(1, 3), row, pad) for row in rows)),
-            Jtdot_dq=ca.vertcat(com_bias[0], com_bias[2], *bias),
+            Jt=ca.vertcat(*(jacobian[task] for task in tasks)),
+            Jtdot_dq=ca.vertcat(*(biases_of[task] for task in tasks)),
             com=com,
             com_velocity=com_velocity,
             feet=ca.horzcat(*feet),
             feet_velocity=ca.horzcat(*velocities),
             rpy=rpy,
-            task=ca.vertcat(com[0], com[2], rpy[1], rpy[0]),
-            task_velocity=ca.vertcat(com_velocity[0], com_velocity[2], *rates),
+            task=ca.vertcat(*(value[task] for task in tasks)),
+            task_velocity=ca.vertcat(*(speed[task] for task in tasks)),
         )
 
     def _foot(
@@ -182,8 +192,8 @@ class RobotModel:
 
 
 def _orientation(rotation: ca.SX, rate: ca.SX) -> tuple[ca.SX, tuple, tuple, tuple]:
-    """Z-Y-X angles; of pitch and roll: rates, rows of the Jacobian, biases, from the angular velocity ``rate`` in the
-    base's frame."""
+    """Z-Y-X angles; of yaw, pitch and roll: rates, rows of the Jacobian, biases, from the angular velocity ``rate`` in
+    the base's frame."""
     roll = ca.atan2(rotation[2, 1], rotation[2, 2])
     pitch = ca.asin(ca.fmax(-1.0, ca.fmin(1.0, -rotation[2, 0])))
     yaw = ca.atan2(rotation[1, 0], rotation[0, 0])
@@ -191,6 +201,12 @@ def _orientation(rotation: ca.SX, rate: ca.SX) -> tuple[ca.SX, tuple, tuple, tup
     p, q, r = rate[0], rate[1], rate[2]
     turn = q * s + r * c  # yaw rate times cos(pitch)
     pitch_rate, roll_rate = q * c - r * s, p + tangent * turn
-    rows = ca.horzcat(0.0, c, -s), ca.horzcat(1.0, tangent * s, tangent * c)
-    biases = -roll_rate * turn, pitch_rate * turn / ca.cos(pitch) ** 2 + tangent * roll_rate * pitch_rate
-    return ca.vertcat(roll, pitch, yaw), (pitch_rate, roll_rate), rows, biases
+    upright = ca.cos(pitch)
+    rows = (
+        ca.horzcat(0.0, s / upright, c / upright), ca.horzcat(0.0, c, -s), ca.horzcat(1.0, tangent * s, tangent * c)
+    )  # fmt: skip
+    yaw_bias = (pitch_rate * roll_rate + turn * tangent * pitch_rate) / upright
+    biases = (
+        yaw_bias, -roll_rate * turn, pitch_rate * turn / upright**2 + tangent * roll_rate * pitch_rate
+    )  # fmt: skip
+    return ca.vertcat(roll, pitch, yaw), (turn / upright, pitch_rate, roll_rate), rows, biases

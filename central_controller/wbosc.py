@@ -11,6 +11,12 @@ F_int = W_int F_r = dᵀ F_r (5.4)–(5.7) by exactly 2 α, and nothing else: (2
 
     α = ½ (F_int,ref − dᵀ F_r(τ_task)),    and the sensed internal force is    F_act = dᵀ F_r(τ_sensor)            (5.3)
 
+In single support the other foot may press on the ground while it is about to leave it or has just met it. The force
+f that it then exerts accelerates the tasks by −J_t A⁻¹ Nᵀ J_fᵀ f, which the control law takes back. With f that of the
+double support at the same accelerations, both laws give the same torque: fading f in and out makes a switch between
+them smooth. The source adds f to the task force instead (2.19), which is the same only where all motion is controlled:
+Λ*_task (J_t A⁻¹ Nᵀ J_tᵀ) = I; a point-foot biped in single support moves in three more ways.
+
 F_r = J̄ᵀ (Uᵀ τ − h) + Λ_s J̇ q̇ (2.5) is the force of the robot on the environment. All products with A⁻¹ come from one
 Cholesky factorisation: with X = L⁻¹ [Jᵀ Uᵀ h J_tᵀ], every one of them is a block of Xᵀ X.
 """
@@ -62,16 +68,18 @@ def _backward(factor: ca.SX, b: ca.SX) -> ca.SX:
 def whole_body_control(contacts: int, tasks: int) -> ca.Function:
     """The control law for ``contacts`` point feet (1 or 2) and ``tasks`` task coordinates.
 
-    Inputs: A (12, 12), h (12), J (3 contacts, 12), Jdot_dq, Jt (tasks, 12), Jtdot_dq, u (tasks); with two contacts
-    also line (3: x̂, unit vector from left to right foot), reference (F_int,ref), sensed (6 joint torques).
-    Outputs: torque (6), reaction F_r (3 contacts); with two contacts also internal, the sensed internal force (5.3).
+    Inputs: A (12, 12), h (12), J (3 contacts, 12), Jdot_dq, Jt (tasks, 12), Jtdot_dq, u (tasks), sensed (6 joint
+    torques); with two contacts also line (3: x̂, unit vector from left to right foot), reference (F_int,ref); with one
+    also push (3): the force that the other foot, whose position is the last three tasks, is to press with meanwhile.
+    Outputs: torque (6), reaction F_r (3 contacts) and felt, the same of the sensed torques; with two contacts also
+    internal, the sensed internal force (5.3).
     """
     a, h = ca.SX.sym("A", DOFS, DOFS), ca.SX.sym("h", DOFS)
     jacobian, bias = ca.SX.sym("J", 3 * contacts, DOFS), ca.SX.sym("Jdot_dq", 3 * contacts)
     task, task_bias = ca.SX.sym("Jt", tasks, DOFS), ca.SX.sym("Jtdot_dq", tasks)
     u = ca.SX.sym("u", tasks)
     line, reference = ca.SX.sym("line", 3), ca.SX.sym("reference")
-    sensed = ca.SX.sym("sensed", JOINTS)
+    sensed, push = ca.SX.sym("sensed", JOINTS), ca.SX.sym("push", 3)
 
     # products with A⁻¹
     selection = ca.vertcat(ca.SX(DOFS - JOINTS, JOINTS), ca.SX.eye(JOINTS))  # Uᵀ
@@ -96,22 +104,30 @@ def whole_body_control(contacts: int, tasks: int) -> ca.Function:
     z = _forward(factor, gamma.T)
     task_factor = _cholesky(z.T @ z)  # of Λ*⁻¹
     wanted = u - task_bias + yt.T @ yb + gravity
+    if contacts == 1:
+        wanted += xt.T @ xt[:, -3:] @ push - yt.T @ yt[:, -3:] @ push
     force = _backward(task_factor, _forward(task_factor, wanted))
     torque = _backward(factor, z @ force)
 
     def reaction(tau: ca.SX) -> ca.SX:
         return _backward(contact, yu @ tau - yh + yb)
 
-    inputs = [a, h, jacobian, bias, task, task_bias, u]
-    names = ["A", "h", "J", "Jdot_dq", "Jt", "Jtdot_dq", "u"]
+    felt = reaction(sensed)
+    inputs = [a, h, jacobian, bias, task, task_bias, u, sensed]
+    names = ["A", "h", "J", "Jdot_dq", "Jt", "Jtdot_dq", "u", "sensed"]
     if contacts == 1:
-        return ca.Function("wbosc_single", inputs, [torque, reaction(torque)], names, ["torque", "reaction"])
-    internal = ca.dot(direction, reaction(sensed))
+        return ca.Function(
+            "wbosc_single",
+            [*inputs, push],
+            [torque, reaction(torque), felt],
+            [*names, "push"],
+            ["torque", "reaction", "felt"],
+        )
     torque = torque + (reference - ca.dot(direction, reaction(torque))) / 2 * null
     return ca.Function(
         "wbosc_double",
-        [*inputs, line, reference, sensed],
-        [torque, reaction(torque), internal],
-        [*names, "line", "reference", "sensed"],
-        ["torque", "reaction", "internal"],
+        [*inputs, line, reference],
+        [torque, reaction(torque), felt, ca.dot(direction, felt)],
+        [*names, "line", "reference"],
+        ["torque", "reaction", "felt", "internal"],
     )

@@ -131,8 +131,21 @@ def _parser() -> argparse.ArgumentParser:
     inject.set_defaults(command=_inject)
 
     joint_command.add_parser(commands)
-    from hil.commands import bisect, campaign, compare, diff, estimators, gait, linearise, margin, protection, replay
-    from hil.commands import rerun, study, sweep
+    from hil.commands import (
+        bisect,
+        campaign,
+        compare,
+        diff,
+        estimators,
+        gait,
+        linearise,
+        margin,
+        protection,
+        replay,
+        rerun,
+        study,
+        sweep,
+    )
     from hil.commands import map as map_command
 
     replay.add_parser(commands)

@@ -1,6 +1,8 @@
 """What the controller does with the robot once the drives are on: one class per behaviour."""
 
+from central_controller.behaviours.behaviour import Behaviour
 from central_controller.behaviours.open_loop import OpenLoop
 from central_controller.behaviours.stand import Stand
+from central_controller.behaviours.step import Step
 
-BEHAVIOURS = {"stand": Stand, "open_loop": OpenLoop}  # by the names that the configuration gives them
+BEHAVIOURS: dict[str, type[Behaviour]] = {"stand": Stand, "step": Step, "open_loop": OpenLoop}  # by configured name

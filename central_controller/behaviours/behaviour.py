@@ -54,6 +54,12 @@ class Behaviour(Protocol):
     ``torque`` [N m] and what is in ``setpoints``.
     """
 
+    def __init__(self, workspace: Workspace, compile: Compile) -> None: ...
+
+    @staticmethod
+    def fields(robot: Robot) -> list[str]:
+        """Names of ``telemetry``, in order."""
+
     telemetry: np.ndarray
     torque: np.ndarray
     memory: np.ndarray
@@ -78,3 +84,8 @@ class Setpoints:
         self.gain_sets = [gain_set] * joints
         self.positions: list[float] | None = None  # rad; None: where the joints are
         self.velocities = [0.0] * joints  # rad/s
+
+
+def ramp(length: float, rate: float, since_ns: int) -> float:
+    """Share, 0 to 1, of torques that grow over ``length`` [s], ``since_ns`` after they began."""
+    return min(since_ns * 1e-9 / max(length, 1.0 / rate), 1.0)

@@ -1,4 +1,4 @@
-"""Steps by joint positions planned beforehand: Kim 2018 §7.1. The drives' joint-position loops do the rest (Fig. 7.1)."""
+"""Steps by joint positions planned beforehand (Kim 2018 §7.1): the drives' joint-position loops do the rest."""
 
 from __future__ import annotations
 

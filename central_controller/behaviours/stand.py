@@ -8,7 +8,7 @@ import numpy as np
 
 from bus import messages
 from bus.messages import GainSet, Mode
-from central_controller.behaviours.behaviour import Compile, Phase, Setpoints, Workspace
+from central_controller.behaviours.behaviour import Compile, Phase, Setpoints, Workspace, ramp
 from central_controller.binding import Bound
 from central_controller.estimator import filter_constants
 from central_controller.law import control, memory_size
@@ -49,7 +49,8 @@ class Stand:
         names = [f"{what}.{axis}" for what in ("com", "com_velocity") for axis in "xyz"]
         names += ["com_reference.x", "com_reference.z", "roll", "pitch", "yaw", "roll_reference", "pitch_reference"]
         names += ["internal_force", "internal_force_reference"]
-        return names + [f"{what}.{j}" for what in ("torque_command", "torque_sensed", "q", "dq") for j in robot.joint_names]
+        of_joints = ("torque_command", "torque_sensed", "q", "dq")
+        return names + [f"{what}.{j}" for what in of_joints for j in robot.joint_names]
 
     def act(self, phase: Phase, now_ns: int, since_ns: int) -> None:
         schedule = self._schedule
@@ -73,8 +74,3 @@ class Stand:
     def restore(self, state: Any) -> None:
         for name, value in zip(self._ARRAYS, state, strict=True):
             getattr(self, name)[:] = value  # in place: the compiled functions are bound to the arrays
-
-
-def ramp(length: float, rate: float, since_ns: int) -> float:
-    """Share, 0 to 1, of torques that grow over ``length`` [s], ``since_ns`` after they began."""
-    return min(since_ns * 1e-9 / max(length, 1.0 / rate), 1.0)

@@ -20,6 +20,7 @@ class StepTiming(Config):
     transition: Seconds = 0.024  # the weight moves onto the new stance leg, or off the old one
     lifting: Annotated[Seconds, Positive] = 0.145
     landing: Annotated[Seconds, Positive] = 0.150
+    loading: Seconds = 0.024  # after touch-down, the weight moves onto the foot; not in Table 7.2
 
     @property
     def step_time(self) -> float:

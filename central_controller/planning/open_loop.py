@@ -10,6 +10,7 @@ legs' inverse kinematics give the joint angles.
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -117,7 +118,9 @@ class _PhasePath:
     def __init__(self, pendulum: Pendulum, foot: Foot, apex_speed: float, reach: float) -> None:
         ways = []
         for direction in (-1.0, 1.0):
-            state, x, v = PendulumState(foot.x, 0.0, direction * apex_speed, 0.0), [], []
+            state = PendulumState(foot.x, 0.0, direction * apex_speed, 0.0)
+            x: list[float] = []
+            v: list[float] = []
             while abs(state.x - foot.x) < reach and len(x) < 2000:
                 x.append(state.x)
                 v.append(abs(state.vx))
@@ -152,7 +155,7 @@ def _along(robot: Robot, config: OpenLoopConfig) -> tuple[np.ndarray, np.ndarray
     first = feet[1][0] - config.lift_off
     paths[0].boosted(first, config.boost_speed, config.boost_length)
     changes = [first]
-    for n, (before, after) in enumerate(zip(paths, paths[1:], strict=False), start=1):
+    for n, (before, after) in enumerate(pairwise(paths), start=1):
         x = np.arange(feet[n][0], feet[n + 1][0], _X_STEP)
         faster = before(x) >= after(x)
         if faster[0] or not faster[-1]:
@@ -187,7 +190,8 @@ def _along(robot: Robot, config: OpenLoopConfig) -> tuple[np.ndarray, np.ndarray
     t = np.arange(0.0, config.stop_time + _GRID, _GRID)
     times.append(now + t)
     goal = 0.5 * (feet[-1][0] + feet[-2][0])
-    xs.append(_quintic(np.minimum(t, config.stop_time), config.stop_time, (end, v, v * (v - behind) / _X_STEP), (goal, 0.0, 0.0)))
+    leaving = (end, v, v * (v - behind) / _X_STEP)
+    xs.append(_quintic(np.minimum(t, config.stop_time), config.stop_time, leaving, (goal, 0.0, 0.0)))
 
     swings, half = [], 0.5 * config.dual_time
     for n in range(config.steps):

@@ -57,7 +57,7 @@ class PlanarBiped:
         return self._legs[foot].hip
 
     def leg_angles(self, foot: int, x: float, z: float) -> tuple[float, float]:
-        """Hip and knee angle [rad], knee in front, that put ``foot`` at (x, z) [m] from its hip, along the torso's axes.
+        """Hip and knee angle [rad], knee in front, that put ``foot`` at (x, z) [m] from its hip, in the torso's axes.
 
         Raises ValueError when it is out of reach.
         """
@@ -92,7 +92,8 @@ class PlanarBiped:
         for joint, angle in zip(robot.joints, angles, strict=True):
             px, pz, turned = frames[joint.parent]
             c, s = math.cos(turned), math.sin(turned)
-            x, z = px + c * joint.position[0] + s * joint.position[2], pz - s * joint.position[0] + c * joint.position[2]
+            along, up = joint.position[0], joint.position[2]
+            x, z = px + c * along + s * up, pz - s * along + c * up
             turned += angle if joint.axis[1] else 0.0
             frames[joint.name] = x, z, turned
             c, s = math.cos(turned), math.sin(turned)

@@ -81,7 +81,8 @@ def _robot(recording: Any, run: Recorded) -> None:
     for foot in [name[:-2] for name in world.members("foot") if name.endswith(".x")]:
         forces = -world.group(f"contact.{foot}")[rows]  # of the ground on the foot: they point to where one sees them
         arrows = rr.Arrows3D.columns(origins=world.group(f"foot.{foot}")[rows], vectors=METRES_PER_NEWTON * forces)
-        recording.log(f"/world3d/forces/{foot}", rr.Arrows3D.from_fields(colors=[[40, 160, 60]], radii=[0.008]), static=True)
+        look = rr.Arrows3D.from_fields(colors=[[40, 160, 60]], radii=[0.008])
+        recording.log(f"/world3d/forces/{foot}", look, static=True)
         recording.send_columns(f"/world3d/forces/{foot}", times, arrows)
     com = rr.Points3D.columns(positions=world.group("com")[rows])
     recording.log("/world3d/com", rr.Points3D.from_fields(radii=[0.02], colors=[[230, 190, 30]]), static=True)

@@ -21,7 +21,7 @@ from joint_firmware.laws.reference import Wanted
 from joint_firmware.laws.torque_loop import Applied, LoopSignals, TorqueLoop
 from robots.description import Joint
 
-_FADE_S = 0.1  # time constant
+_FADE_S = 0.01  # time constant
 _STOP_S = 0.01
 _MOST_CARRIED = 4.0  # times full effort
 
@@ -79,9 +79,8 @@ class Output(Block):
         braked = wanted.active * clip(brake, -full, full)
         demand = ca.if_else(verdict.power_off, 0, ca.if_else(verdict.brake, braked, demand))
         after = self._loop.update(seen, gains, x, p, Applied(effort, aim - within, wanted.closed))
-        fading = 1 - wanted.closed * self._loop.integrates(gains, p)
         states = Symbols(
             **vars(after), **gains._asdict(), closed=wanted.closed,
-            carry=wanted.active * carry * (1 - fading * p.dt / _FADE_S), regime=regime, demand=demand, ramp=ramp,
+            carry=wanted.active * carry * (1 - p.dt / _FADE_S), regime=regime, demand=demand, ramp=ramp,
         )  # fmt: skip
         return Demand(demand / p.torque_per_ampere, within != aim), states

@@ -13,8 +13,8 @@ from scipy.optimize import least_squares
 
 from bus import messages
 from bus.messages import Controlword, GainSet, Mode, State, Statusword
-from central_controller.config import ControllerConfig, InternalForceConfig, PathConfig
 from central_controller.behaviours.behaviour import Phase
+from central_controller.config import ControllerConfig, InternalForceConfig, PathConfig
 from central_controller.controller import IMU_SOURCE, Controller, telemetry_fields
 from central_controller.model import RobotModel
 from central_controller.wbosc import whole_body_control

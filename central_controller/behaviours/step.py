@@ -1,0 +1,398 @@
+"""Stepping: a state machine of support phases around the laws of double and single support (Kim 2018 Figs. 2.1, 7.15).
+
+Horizontally the robot falls where it will; where it steps decides how it goes on. The planner places each foot from the
+state that the pendulum observer tells.
+"""
+
+from __future__ import annotations
+
+import math
+from enum import IntEnum
+from typing import Any
+
+import numpy as np
+
+from bus import messages
+from bus.messages import GainSet, Mode
+from central_controller.behaviours.behaviour import Compile, Phase, Setpoints, Workspace, ramp
+from central_controller.binding import Bound
+from central_controller.estimation.pendulum_observer import PendulumObserver
+from central_controller.planning.height_surface import Plane
+from central_controller.planning.pendulum import Foot, Pendulum, PendulumState
+from central_controller.planning.reach import LEFT, RIGHT
+from central_controller.planning.swing import SwingTrajectory
+from central_controller.planning.velocity_reversal import Plan, VelocityReversalPlanner
+from central_controller.stepping_law import COORDINATES, OBSERVED, observed, stepping
+from robots.description import Robot
+
+_SIDES = (RIGHT, LEFT)  # of the feet, in the robot's order
+_LANDED_AFTER = 0.5  # of the landing: a switch that is closed before has not opened yet
+_COM, _COM_VELOCITY, _RPY, _FEET = map(observed, ("com", "com_velocity", "rpy", "feet"))
+_REACTION, _FELT = observed("reaction"), observed("felt")
+_COM_Y, _COM_Z, _FOOT = COORDINATES.index("com_y"), COORDINATES.index("com_z"), COORDINATES.index("foot_x")
+
+
+class State(IntEnum):
+    """States of stepping."""
+
+    WAITING = 0  # both feet stand; the first step has not begun
+    LEANING = 1  # the centre of mass is set in motion towards the first stance foot
+    UNLOADING = 2  # of the foot that is about to lift
+    LIFTING = 3
+    LANDING = 4  # until the ground is felt
+    LOADING = 5  # of the foot that has landed
+    DOUBLE = 6  # both feet stand
+
+
+# What follows what, and when: the machine as docs/walking.md draws it.
+TRANSITIONS = (
+    (State.WAITING, "at stepping.start", State.LEANING),
+    (State.LEANING, "fast enough to reverse on the stance foot", State.UNLOADING),
+    (State.UNLOADING, "after timing.transition", State.LIFTING),
+    (State.LIFTING, "after timing.lifting; at 70 % the next foot is planned", State.LANDING),
+    (State.LANDING, "ground felt", State.LOADING),
+    (State.LOADING, "after timing.loading", State.DOUBLE),
+    (State.DOUBLE, "after timing.dual_support: the other foot's turn", State.UNLOADING),
+)
+
+
+class Step:
+    """Steps in place or towards a goal."""
+
+    def __init__(self, workspace: Workspace, compile: Compile) -> None:
+        config, model, robot = workspace.config, workspace.model, workspace.robot
+        self._space, self._config, self._stepping = workspace, config, config.stepping
+        self._n = n = len(robot.joints)
+        self._dt = 1.0 / config.rate
+        self._weight = robot.mass * robot.gravity
+        self.telemetry = np.zeros(len(self.fields(robot)))
+        self._own = {name: k for k, name in enumerate(self.fields(robot))}
+        self._torque_at = self._own[f"torque_command.{robot.joint_names[0]}"]
+        self.torque = self.telemetry[self._torque_at : self._torque_at + n]
+        self.memory, self.memory_next = np.zeros(4 + n), np.zeros(4 + n)
+        self.setpoints = Setpoints(n, Mode.TORQUE, GainSet.STANCE)
+        self._legs = [[k for k in range(n) if _leg(robot, k) == foot.name] for foot in robot.feet]
+
+        gains = self._stepping.gains
+        self._gains_of = {
+            False: gains.double(self._dt), True: gains.single(self._dt)
+        }  # fmt: skip
+        self._seen = np.zeros(sum(OBSERVED.values()))
+        self._law_torque = np.zeros(n)
+        self._anchor, self._push = np.zeros(3), np.zeros(3)
+        self._integral, self._integral_next = np.zeros(8), np.zeros(8)
+        self._reference, self._gains = np.zeros((3, 8), order="F"), np.zeros((3, 8), order="F")
+        self._integrate = np.zeros(1)
+        inputs = {
+            **model.sources, "counts": workspace.counts, "q": workspace.q, "v": workspace.v,
+            "anchor": self._anchor, "integral": self._integral, "reference": self._reference, "gains": self._gains,
+            "integrate": self._integrate, "push": self._push,
+        }  # fmt: skip
+        outputs = {"torque": self._law_torque, "observed": self._seen, "integral_next": self._integral_next}
+        self._laws = {
+            stance: Bound(compile(stepping(model, stance)), inputs, outputs) for stance in (None, 0, 1)
+        }
+        self._held = np.zeros(n)
+        self._running = False
+
+        self._state, self._since = State.WAITING, 0.0
+        self._stance: int | None = None  # foot that carries alone; None: both
+        self._swing: int = self._stepping.first
+        self._height = self._ground = 0.0  # of the centre of mass, and under the feet
+        self._middle = (0.0, 0.0)  # where stepping began
+        self._landed_force = np.zeros(3)  # of the foot that lifts or lands, in double support
+        self._planned: Plan | None = None
+        self._landing = 0.0  # s, planned length
+        self._steps = 0
+        self._lean = (0.0, 0.0)  # acceleration, duration
+        self._swing_path = SwingTrajectory(self._stepping.swing)
+        self._observer: PendulumObserver | None = None
+        self._planner: VelocityReversalPlanner | None = None
+
+    @staticmethod
+    def fields(robot: Robot) -> list[str]:
+        """Names of ``telemetry``, in order."""
+        names = [f"{what}.{axis}" for what in ("com", "com_velocity") for axis in "xyz"]
+        names += ["com_reference.x", "com_reference.z", "roll", "pitch", "yaw", "roll_reference", "pitch_reference"]
+        names += ["internal_force", "internal_force_reference"]
+        for what in ("torque_command", "torque_sensed", "q", "dq"):
+            names += [f"{what}.{j}" for j in robot.joint_names]
+        names += ["state", "steps"]
+        feet = [foot.name for foot in robot.feet]
+        names += [f"carries.{foot}" for foot in feet]
+        names += [f"{what}.{foot}.{axis}" for what in ("foot", "felt") for foot in feet for axis in "xyz"]
+        names += [f"swing_reference.{axis}" for axis in "xyz"]
+        names += [f"pendulum.{what}" for what in ("x", "y", "vx", "vy")]
+        names += [f"plan.{what}" for what in ("foot.x", "foot.y", "x", "y", "vx", "vy", "remaining", "extension")]
+        return names
+
+    # --- the tick ---------------------------------------------------------------------------------------------
+
+    def act(self, phase: Phase, now_ns: int, since_ns: int) -> None:
+        now = now_ns * 1e-9
+        if not self._running:  # hanging: the anchor keeps the feet's middle at the origin
+            self._reference[0, :] = 0.0
+            self._laws[None]()
+            self._observe()
+            return
+        if phase is Phase.ON:
+            self._advance(now)
+        self._refer(now)
+        self._laws[self._stance]()
+        self._integral[:] = self._integral_next
+        self._observe()
+        self._follow()
+        share = 1.0 if phase is Phase.ON else ramp(self._config.weight_ramp, self._config.rate, now_ns - since_ns)
+        self._integrate[0] = phase is Phase.ON
+        np.subtract(self._law_torque, self._held, out=self.torque)
+        self.torque *= share
+        self.torque += self._held
+
+    def take_over(self) -> None:
+        seen, space = self._seen, self._space
+        self._held[:] = space.counts[2 * self._n :] * messages.NEWTON_METRE
+        self._height = float(seen[_COM][2])
+        self._ground = float(seen[_FEET][2] + seen[_FEET][5]) / 2
+        self._middle = (float(seen[_COM][0]), float(seen[_COM][1]))
+        gravity = space.robot.gravity
+        surface = Plane(self._height)
+        self._planner = VelocityReversalPlanner(self._stepping.planner, Pendulum(surface, gravity))
+        self._observer = PendulumObserver(self._height, self._config.rate, self._stepping.observer, gravity)
+        self._observer.reset(*self._middle, 0.0, 0.0)
+        self._running = True
+
+    # --- the state machine ------------------------------------------------------------------------------------
+
+    def _enter(self, state: State, now: float) -> None:
+        self._state, self._since = state, now
+
+    def _advance(self, now: float) -> None:
+        """Enter the next state when this one has done its work: TRANSITIONS."""
+        state, timing, elapsed = self._state, self._stepping.timing, now - self._since
+        if state is State.WAITING:
+            if now >= self._stepping.start:
+                self._lean = self._launch()
+                self._enter(State.LEANING, now)
+        elif state is State.LEANING:
+            if elapsed >= self._lean[1]:
+                self._unload(now)
+        elif state is State.UNLOADING:
+            if elapsed >= timing.transition:
+                self._push[:] = 0.0
+                self._swing_path.lift(now, self._foot(self._swing), timing.lifting)
+                self._set_gains(self._swing, GainSet.SWING)
+                self._planned = None
+                self._enter(State.LIFTING, now)
+        elif state is State.LIFTING:
+            if self._planned is None and elapsed >= self._stepping.planner.replan_at * timing.lifting:
+                self._plan(now, timing.lifting - elapsed + timing.landing)
+            if elapsed >= timing.lifting:
+                self._landing = timing.landing + (self._planned.extension if self._planned else 0.0)
+                self._swing_path.land(now, self._target(), self._landing)
+                self._enter(State.LANDING, now)
+        elif state is State.LANDING:
+            landed = self._space.contacts[self._swing] and elapsed >= _LANDED_AFTER * self._landing
+            if landed:
+                self._load(now)
+        elif state is State.LOADING:
+            if elapsed >= timing.loading:
+                self._stand_on(None)
+                self._enter(State.DOUBLE, now)
+        elif elapsed >= timing.dual_support:
+            self._swing = 1 - self._swing
+            self._unload(now)
+
+    def _unload(self, now: float) -> None:
+        """Single support from now on; the other foot still presses as in double support, and fades."""
+        self._landed_force[:] = self._seen[_REACTION][3 * self._swing : 3 * self._swing + 3]
+        self._stand_on(1 - self._swing)
+        self._integral[_FOOT:] = 0.0
+        self._hold_foot()
+        self._enter(State.UNLOADING, now)
+
+    def _load(self, now: float) -> None:
+        """The foot has met the ground: what it would press with in double support grows from nothing."""
+        stance = self._stance
+        self._steps += 1
+        self._stand_on(None)
+        self._reference_of_body(now)
+        self._laws[None]()
+        self._landed_force[:] = self._seen[_REACTION][3 * self._swing : 3 * self._swing + 3]
+        self._stand_on(stance)
+        self._set_gains(self._swing, GainSet.STANCE)
+        self._hold_foot()
+        self._enter(State.LOADING, now)
+
+    def _stand_on(self, stance: int | None) -> None:
+        """The feet that the robot's place is known by: one, or both."""
+        feet = self._seen[_FEET]
+        self._anchor[:] = (feet[:3] + feet[3:]) / 2 if stance is None else feet[3 * stance : 3 * stance + 3]
+        self._anchor[2] = self._ground  # or the errors of all steps would add up
+        self._stance = stance
+        self._gains[:] = self._gains_of[stance is not None]
+
+    def _launch(self) -> tuple[float, float]:
+        """Acceleration [m/s²] and duration [s] of the centre of mass towards the first stance foot, after which its
+        velocity reverses on that foot in the planner's own time t'_y."""
+        config = self._stepping
+        if config.lean == 0.0:
+            return 0.0, 0.0
+        feet, y = self._seen[_FEET], self._seen[_COM][1]
+        stance = 1 - self._swing
+        distance = abs(float(feet[3 * stance + 1] - y))
+        omega = math.sqrt(self._space.robot.gravity / self._height)
+        k = omega * math.tanh(omega * config.planner.reversal_time_y)
+        a = config.lean  # a t = k (distance − a t²/2)
+        duration = (-1.0 + math.sqrt(1.0 + 2.0 * k * k * distance / a)) / k
+        return math.copysign(a, feet[3 * stance + 1] - y), duration
+
+    # --- references -------------------------------------------------------------------------------------------
+
+    def _refer(self, now: float) -> None:
+        self._reference_of_body(now)
+        state, timing = self._state, self._stepping.timing
+        if state is State.UNLOADING:
+            self._push[:] = self._landed_force * max(0.0, 1.0 - (now - self._since) / max(timing.transition, self._dt))
+        elif state is State.LOADING:
+            self._push[:] = self._landed_force * min(1.0, (now - self._since) / max(timing.loading, self._dt))
+        elif state in (State.LIFTING, State.LANDING):
+            x, y, z, vx, vy, vz, ax, ay, az = self._swing_path.at(now)
+            self._reference[:, _FOOT:] = (x, y, z), (vx, vy, vz), (ax, ay, az)
+
+    def _reference_of_body(self, now: float) -> None:
+        reference = self._reference
+        reference[:, :_FOOT] = 0.0
+        reference[0, _COM_Z] = self._height
+        t = now - self._since
+        if self._state is State.LEANING:
+            a = self._lean[0]
+            reference[:, _COM_Y] = self._middle[1] + a * t * t / 2, a * t, a
+        elif self._stance is None and self._state is State.WAITING:
+            reference[0, _COM_Y] = self._middle[1]
+        else:  # it goes as it goes
+            reference[0, _COM_Y], reference[1, _COM_Y] = self._seen[_COM][1], self._seen[_COM_VELOCITY][1]
+
+    def _hold_foot(self) -> None:
+        """The swing foot shall stay where it is."""
+        self._reference[:, _FOOT:] = 0.0
+        self._reference[0, _FOOT:] = self._seen[_FEET][3 * self._swing : 3 * self._swing + 3]
+
+    def _set_gains(self, foot: int, gain_set: int) -> None:
+        for joint in self._legs[foot]:
+            self.setpoints.gain_sets[joint] = gain_set
+
+    def _foot(self, foot: int) -> Foot:
+        return Foot(*self._seen[_FEET][3 * foot : 3 * foot + 3].tolist())
+
+    # --- planning ---------------------------------------------------------------------------------------------
+
+    def _plan(self, now: float, to_touchdown: float) -> None:
+        assert self._planner is not None and self._observer is not None and self._stance is not None
+        timing, observer = self._stepping.timing, self._observer
+        # the weight goes over little by little: in the mean in the middle of it
+        to_switch = to_touchdown + (timing.loading + timing.dual_support + timing.transition) / 2
+        state = PendulumState(observer.x, observer.y, observer.vx, observer.vy)
+        stance = self._foot(self._stance)
+        self._planned = self._planner.plan(
+            state, stance, _SIDES[self._swing], to_switch, self._middle, self._ground
+        )
+
+    def _target(self) -> Foot:
+        """Where the swing foot shall land."""
+        assert self._planned is not None
+        return self._planned.foot
+
+    def _follow(self) -> None:
+        """The pendulum observer's share of this tick."""
+        observer, seen = self._observer, self._seen
+        assert observer is not None
+        feet = seen[_FEET].tolist()
+        if self._stance is None:
+            x, y = (feet[0] + feet[3]) / 2, (feet[1] + feet[4]) / 2
+        else:
+            s, o = 3 * self._stance, 3 * (1 - self._stance)
+            share = min(1.0, max(0.0, -float(self._push[2]) / self._weight))
+            x, y = feet[s] + share * (feet[o] - feet[s]), feet[s + 1] + share * (feet[o + 1] - feet[s + 1])
+        com, velocity = seen[_COM].tolist(), seen[_COM_VELOCITY].tolist()
+        if self._state in (State.WAITING, State.LEANING):
+            observer.reset(com[0], com[1], velocity[0], velocity[1])
+            return
+        observer.predict(x, y)
+        observer.correct(com[0], com[1], velocity[0], velocity[1])
+
+    # --- telemetry --------------------------------------------------------------------------------------------
+
+    def _observe(self) -> None:
+        space, n, row, seen = self._space, self._n, self.telemetry, self._seen
+        self.memory_next[:4] = space.q[3:7]
+        self.memory_next[4:] = space.v[6:]
+        row[:6] = seen[:6]
+        row[6], row[7] = seen[0], self._reference[0, _COM_Z]
+        row[8:11] = seen[_RPY]
+        at = self._torque_at + n
+        row[at : at + n] = space.counts[2 * n :]
+        row[at : at + n] *= messages.NEWTON_METRE
+        row[at + n : at + 2 * n] = space.q[7:]
+        row[at + 2 * n : at + 3 * n] = space.v[6:]
+        at += 3 * n
+        row[at], row[at + 1] = self._state, self._steps
+        row[at + 2] = self._stance in (None, 0)
+        row[at + 3] = self._stance in (None, 1)
+        at += 4
+        row[at : at + 6] = seen[_FEET]
+        row[at + 6 : at + 12] = seen[_FELT]
+        row[at + 12 : at + 15] = self._reference[0, _FOOT:]
+        at += 15
+        observer = self._observer
+        if observer is not None:
+            row[at : at + 4] = observer.x, observer.y, observer.vx, observer.vy
+        plan = self._planned
+        if plan is not None:
+            row[at + 4 : at + 12] = (
+                plan.foot.x, plan.foot.y, plan.switching.x, plan.switching.y, plan.switching.vx, plan.switching.vy,
+                plan.remaining, plan.extension,
+            )  # fmt: skip
+
+    # --- state ------------------------------------------------------------------------------------------------
+
+    _ARRAYS = (
+        "telemetry", "_seen", "_law_torque", "_anchor", "_push", "_integral", "_reference", "_gains", "_integrate",
+        "_held", "_landed_force",
+    )  # fmt: skip
+    _PLAIN = (
+        "_running", "_state", "_since", "_stance", "_swing", "_height", "_ground", "_middle", "_planned", "_landing",
+        "_steps", "_lean", "_planner",
+    )  # fmt: skip
+
+    def snapshot(self) -> Any:
+        return {
+            **{name: getattr(self, name).copy() for name in self._ARRAYS},
+            **{name: getattr(self, name) for name in self._PLAIN},
+            "gain_sets": list(self.setpoints.gain_sets),
+            "swing_path": self._swing_path.snapshot(),
+            "observer": None if self._observer is None else (self._observer, self._observer.snapshot()),
+        }
+
+    def restore(self, state: Any) -> None:
+        for name in self._ARRAYS:
+            getattr(self, name)[:] = state[name]
+        for name in self._PLAIN:
+            setattr(self, name, state[name])
+        self.setpoints.gain_sets[:] = state["gain_sets"]
+        self._swing_path.restore(state["swing_path"])
+        self._observer = None
+        if state["observer"] is not None:
+            self._observer, own = state["observer"]
+            self._observer.restore(own)
+
+
+def _leg(robot: Robot, joint: int) -> str:
+    """Name of the foot at the end of the leg that has this joint."""
+    names = robot.joint_names
+    for foot in robot.feet:
+        name = foot.joint
+        while name != robot.base.name:
+            if name == names[joint]:
+                return foot.name
+            name = robot.joints[names.index(name)].parent
+    return ""
