@@ -187,7 +187,11 @@ def _along(robot: Robot, config: OpenLoopConfig) -> tuple[np.ndarray, np.ndarray
     t = np.arange(0.0, config.stop_time + _GRID, _GRID)
     times.append(now + t)
     goal = 0.5 * (feet[-1][0] + feet[-2][0])
-    xs.append(_quintic(np.minimum(t, config.stop_time), config.stop_time, (end, v, v * (v - behind) / _X_STEP), (goal, 0.0, 0.0)))
+    xs.append(
+        _quintic(
+            np.minimum(t, config.stop_time), config.stop_time, (end, v, v * (v - behind) / _X_STEP), (goal, 0.0, 0.0)
+        )
+    )
 
     swings, half = [], 0.5 * config.dual_time
     for n in range(config.steps):

@@ -92,7 +92,10 @@ class PlanarBiped:
         for joint, angle in zip(robot.joints, angles, strict=True):
             px, pz, turned = frames[joint.parent]
             c, s = math.cos(turned), math.sin(turned)
-            x, z = px + c * joint.position[0] + s * joint.position[2], pz - s * joint.position[0] + c * joint.position[2]
+            x, z = (
+                px + c * joint.position[0] + s * joint.position[2],
+                pz - s * joint.position[0] + c * joint.position[2],
+            )
             turned += angle if joint.axis[1] else 0.0
             frames[joint.name] = x, z, turned
             c, s = math.cos(turned), math.sin(turned)
