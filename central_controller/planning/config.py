@@ -90,7 +90,7 @@ class OpenLoopConfig(Config):
     apex_speed: Annotated[MetresPerSecond, Positive] = 0.30  # of the centre of mass above each stance foot
     rise: Annotated[Metres, NotNegative] = 0.01  # h_o of (7.6): of the height's peak above each stance foot
     drop: Annotated[Metres, NotNegative] = 0.01  # of the height where a foot lands below that at rest: it lands softly
-    wind_up: Metres = 0.0  # the centre of mass is moved back by this first
+    wind_up: Metres = 0.04  # the centre of mass is moved back by this first
     wind_up_time: Annotated[Seconds, Positive] = 1.0
     lift_off: Annotated[Metres, Positive] = 0.07  # of the centre of mass before the stance foot, at the first lift-off
     push_time: Annotated[Seconds, Positive] = 0.8  # from rest to the first lift-off

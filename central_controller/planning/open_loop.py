@@ -240,10 +240,15 @@ def _feet(config: OpenLoopConfig, swings: list[Swing], time: float) -> list[tupl
         elif time > swing.lift_off:
             s = (time - swing.lift_off) / (swing.landing - swing.lift_off)
             (x0, z0), (x1, z1) = swing.start, swing.end
-            top = max(z0, z1) + config.clearance
+            top = max(ground_height(config.blocks, x) for x in _between(x0, x1)) + config.clearance
             z = z0 + (top - z0) * _smooth(s / 0.5) if s < 0.5 else top + (z1 - top) * _smooth((s - 0.5) / 0.5)
             feet[swing.foot] = x0 + (x1 - x0) * _smooth((s - 0.08) / 0.84), z
     return feet
+
+
+def _between(start: float, end: float) -> list[float]:
+    """Places on a swing foot's way, both ends among them."""
+    return [start + 0.05 * n * (end - start) for n in range(21)]
 
 
 def _shares(swings: list[Swing], time: float, pressure: float, feet: list[tuple[float, float]]) -> list[float]:
