@@ -65,9 +65,6 @@ class Cascade(TorqueLoop):
             ),
         )
 
-    def integrates(self, gains: Gains, p: Symbols) -> ca.SX:
-        return ca.logic_or(gains.ki > 0, p.velocity_integral_gain > 0)
-
     def doubts(self, joint: Joint, config: FirmwareConfig) -> list[str]:
         found = []
         for which in ("stance", "swing"):

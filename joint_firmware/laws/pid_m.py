@@ -39,9 +39,6 @@ class PIDm(PDm):
     def update(self, s: LoopSignals, gains: Gains, x: Symbols, p: Symbols, applied: Applied) -> Symbols:
         return Symbols(integral=integrated(x.integral, gains.ki, s.error, p.dt, applied))
 
-    def integrates(self, gains: Gains, p: Symbols) -> ca.SX:
-        return gains.ki > 0
-
 
 def integrated(
     integral: ca.SX, gain: ca.SX, error: ca.SX, dt: ca.SX, applied: Applied, without_gain: ca.SX | float = 0.0

@@ -56,10 +56,6 @@ class TorqueLoop(Block):
         """States of the next tick."""
         return Symbols()
 
-    def integrates(self, gains: Gains, p: Symbols) -> ca.SX | float:
-        """Whether the loop integrates a constant offset of its effort away (0 or 1)."""
-        return 0.0
-
     def doubts(self, joint: Joint, config: FirmwareConfig) -> list[str]:
         """A sentence for each of the loop's own conditions that the gains do not meet.
 

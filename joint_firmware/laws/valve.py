@@ -50,9 +50,6 @@ class Valve(TorqueRate):
         integral = integrated(x.integral, gains.ki, s.error, p.dt, applied)
         return Symbols(integral=integral, torque_low=low, torque_rate=rate)
 
-    def integrates(self, gains: Gains, p: Symbols) -> ca.SX:
-        return gains.ki > 0
-
 
 def current_per_velocity(joint: Joint) -> float:
     """Valve current that feeds the moving piston with no force on it, A s/rad; 0 for an actuator without a valve.
