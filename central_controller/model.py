@@ -64,7 +64,8 @@ class RobotModel:
     task: np.ndarray
     task_velocity: np.ndarray
 
-    def __init__(self, robot: Robot) -> None:
+    def __init__(self, robot: Robot, tasks: Sequence[str] = TASKS) -> None:
+        self._tasks = tuple(tasks)  # of ``update``
         self.model = pin.Model()
         ids = {robot.base.name: self.model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "base")}
         links = [(robot.base.name, robot.base), *((joint.name, joint.link) for joint in robot.joints)]
@@ -179,7 +180,7 @@ class RobotModel:
 
     def _bind_terms(self) -> Bound:
         symbols = {"q": ca.SX.sym("q", self.nq), "v": ca.SX.sym("v", self.nv), **self.symbols()}
-        terms = self.terms(symbols, symbols["q"][3:7], symbols["v"][3:6])._asdict()
+        terms = self.terms(symbols, symbols["q"][3:7], symbols["v"][3:6], self._tasks)._asdict()
         function = ca.Function(
             "terms", list(symbols.values()), [ca.densify(t) for t in terms.values()], list(symbols), list(terms)
         )

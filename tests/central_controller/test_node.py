@@ -278,12 +278,13 @@ def test_the_tick_is_the_control_law_at_the_estimated_state(upright) -> None:
     u = kp * error - kd * model.task_velocity + integral + ki_dt * error
     line = model.feet[0] - model.feet[1]
     out = whole_body_control(2, 4)(
-        model.A, model.h, model.Js, model.Jsdot_dq, model.Jt, model.Jtdot_dq, u, line / np.linalg.norm(line),
-        100.0 + 3.0 * (100.0 - felt_force), rig.fields(*(f"torque_sensed.{j}" for j in ROBOT.joint_names)),
+        model.A, model.h, model.Js, model.Jsdot_dq, model.Jt, model.Jtdot_dq, u,
+        rig.fields(*(f"torque_sensed.{j}" for j in ROBOT.joint_names)), line / np.linalg.norm(line),
+        100.0 + 3.0 * (100.0 - felt_force),
     )  # fmt: skip
     torque = np.array(rig.fields(*(f"torque_command.{j}" for j in ROBOT.joint_names)))
     assert torque == pytest.approx(np.array(out[0]).ravel(), rel=1e-8, abs=1e-8)
-    internal = float(out[2])
+    internal = float(out[3])
     assert rig.field("internal_force") == pytest.approx(internal, rel=1e-8)
     # (5.2): what is fed back is the sensed force behind a first-order low-pass of 5 Hz
     blend = 1.0 - np.exp(-2.0 * np.pi * 5.0 / 1500.0)

@@ -248,7 +248,7 @@ def test_the_injectable_keys_are_listed_with_meaning_and_range(capsys: pytest.Ca
     columns = [head.index(word) for word in head.split()]
     for line in lines:
         key, range_, default, meaning = (line[a:b].strip() for a, b in zip(columns, [*columns[1:], None], strict=True))
-        assert re.fullmatch(r"(link|bus|joint)\.[a-z_.]+", key) and len(meaning) > 3, line
+        assert re.fullmatch(r"(link|bus|joint|motion_capture)\.[a-z_.]+", key) and len(meaning) > 3, line
         assert default or key.endswith(".damage"), line
         assert re.search(r"^-?[\d.e+]+ to [\d.e+]+( \w+)*$|, |true or false|^IDENTIFIER BIT", range_), line
     assert main(["inject", "--list", "bus.left_leg.node.left_knee"]) == 0
