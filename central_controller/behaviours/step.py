@@ -56,6 +56,12 @@ TRANSITIONS = (
 )
 
 
+def diagram() -> str:
+    """The state machine in Mermaid's notation."""
+    lines = [f"    {before.name} --> {after.name}: {when}" for before, when, after in TRANSITIONS]
+    return "\n".join(["stateDiagram-v2", f"    [*] --> {State.WAITING.name}", *lines])
+
+
 class Step:
     """Steps in place or towards a goal."""
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from hil.analysis.derived import Derived
 from hil.analysis.oscillation import Oscillation, dominant_oscillation
+from hil.analysis.stepping import stepping_metrics
 from hil.analysis.stiffness import fit_stiffness
 from hil.record.signals import Signals
 from plant.config import TerrainConfig
@@ -43,6 +44,7 @@ def derived_metrics(run: Derived, window: float) -> Metrics:
         **_communication(run),
         "oscillation": {name: _oscillation_entry(o) for name, o in oscillations(run, window).items()},
         **_stiffness(run),
+        **stepping_metrics(run.controller, run.world),
     }
 
 

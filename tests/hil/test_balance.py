@@ -1,0 +1,90 @@
+"""Hume steps, unsupported, through its joints, buses and link."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from central_controller.behaviours.step import State, diagram
+from hil.analysis.stepping import touch_downs
+from hil.run import Request, assemble, run
+from hil.scenario import load
+
+ROOT = Path(__file__).parent.parent.parent
+
+
+def stepped(*settings: str, backend: str = "inline") -> Any:
+    return run(Request(load("balance", list(settings)), 0, backend, report=False))
+
+
+@pytest.fixture(scope="module")
+def outcome() -> Any:
+    return stepped("duration=3.2s")
+
+
+def test_the_robot_steps_from_foot_to_foot(outcome: Any) -> None:
+    assert outcome.stable, outcome.reason
+    metrics = outcome.metrics
+    assert metrics["steps"] >= 4
+    assert 0.3 < metrics["step_time_mean"] < 0.45
+    assert metrics["orientation_error_max"] < 0.1
+    assert metrics["foot_placement_error_rms"] < 0.03
+
+
+def test_a_foot_that_is_said_to_swing_is_in_the_air_and_one_that_stands_carries(outcome: Any) -> None:
+    """By the physics' own contact forces."""
+    controller, world = outcome.tables["controller"], outcome.tables["world"]
+    rows = world.latest_before(controller.times)
+    late_lift = (controller["state"] == State.LIFTING) & (np.roll(controller["state"], 60) == State.LIFTING)
+    for foot, other in (("right_foot", "left_foot"), ("left_foot", "right_foot")):
+        swings = late_lift & (controller[f"carries.{foot}"] == 0)
+        assert swings.sum() > 100
+        assert np.abs(world[f"contact.{foot}.z"][rows][swings]).max() == 0.0
+        assert np.abs(world[f"contact.{other}.z"][rows][swings]).min() > 50.0
+    assert len(touch_downs(controller)) >= 4
+
+
+def test_the_planner_reads_the_velocity_of_the_centre_of_mass(outcome: Any) -> None:
+    controller, world = outcome.tables["controller"], outcome.tables["world"]
+    falling = controller["state"] == State.LIFTING
+    rows = world.latest_before(controller.times)
+    for axis in "xy":
+        error = controller[f"pendulum.v{axis}"] - world[f"com_velocity.{axis}"][rows]
+        assert np.sqrt(np.mean(error[falling] ** 2)) < 0.08
+
+
+def test_the_transition_takes_the_jump_out_of_the_torques_when_a_foot_lifts(outcome: Any) -> None:
+    """Kim 2018 §2.2.1: the largest change of a torque within the tick in which a foot has ceased to press."""
+
+    def jump(run: Any) -> float:
+        controller = run.tables["controller"]
+        state, torque = controller["state"], controller.group("torque_command")
+        lifts = np.flatnonzero((state[1:] == State.LIFTING) & (state[:-1] == State.UNLOADING))
+        return float(max(np.abs(torque[k + 1] - torque[k]).max() for k in lifts))
+
+    without = stepped("duration=1.8s", "controller.stepping.timing.transition=0s")
+    assert jump(outcome) < 10.0 < 30.0 < jump(without)
+
+
+def test_both_backends_step_alike() -> None:
+    runs = [stepped("duration=1.7s", backend=backend) for backend in ("inline", "processes")]
+    assert runs[0].digest == runs[1].digest
+    assert runs[0].tables["controller"]["state"].max() >= State.LIFTING
+
+
+def test_a_step_goes_on_from_a_snapshot_as_it_went() -> None:
+    with assemble(Request(load("balance", ["duration=3s"]), 0, "inline")) as assembly:
+        system = assembly.system
+        system.run_until(1_700_000_000)  # a foot is in the air
+        before = system.snapshot()
+        ends = []
+        for _ in range(2):
+            system.run_until(2_000_000_000)
+            ends.append((system.world.truth().copy(), system.controller.finish()[1].copy()))
+            system.restore(before)
+        assert np.array_equal(ends[0][0], ends[1][0]) and np.array_equal(ends[0][1], ends[1][1], equal_nan=True)
+
+
+def test_the_documents_show_the_machine_as_it_is() -> None:
+    assert diagram() in (ROOT / "docs" / "walking.md").read_text(encoding="utf-8")
