@@ -4,6 +4,7 @@ import re
 import tomllib
 import types
 import typing
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args, get_origin
 
@@ -11,12 +12,14 @@ import annotated_types
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from pydantic import BaseModel
+from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
 
 from bus.config import BusConfig
+from central_controller.planning.config import ReachConfig
 from hil.errors import UserError
 from hil.scenario import Scenario, builtin_names, load, notes, parse_value, to_toml, validate
+from robots.terrain import Block
 
 TEXT = st.text(st.characters(codec="utf-8"), max_size=12)
 
@@ -70,7 +73,17 @@ def tables_of(model: type[BaseModel]) -> st.SearchStrategy[dict[str, Any]]:
         fields["damage"] = st.sampled_from(["", "0x182 crc:3", "5 17 2"])
     required = {name: s for name, s in fields.items() if model.model_fields[name].is_required()}
     optional = {name: s for name, s in fields.items() if name not in required}
-    return st.fixed_dictionaries(required, optional=optional)
+    tables = st.fixed_dictionaries(required, optional=optional)
+    return tables.filter(partial(accepted, model)) if model in (Block, ReachConfig) else tables
+
+
+def accepted(model: type[BaseModel], table: dict[str, Any]) -> bool:
+    """Whether the fields of ``table`` go together, where that is more than their own bounds."""
+    try:
+        model.model_validate(table)
+    except ValidationError:
+        return False
+    return True
 
 
 @settings(max_examples=60)

@@ -247,12 +247,13 @@ def test_the_gain_set_is_switched_by_command_and_without_a_bump(bench):
     assert stance == pytest.approx(14.0 + 3.0 * 4.0, abs=0.1)
     assert demand(GainSet.SWING) == stance
     grown = demand(GainSet.SWING, 300) - stance
-    assert grown == pytest.approx(20.0 * 4.0 * 0.1, abs=0.2)
+    assert grown == pytest.approx(20.0 * 4.0 * 0.1 + (4.0 - 3.0) * 4.0, abs=0.2)  # the integral; kp's share, faded in
     drive.place(torque=9.0)  # one newton metre more of error meets the new proportional gain
     swing = demand(GainSet.SWING, 60)
     assert swing - stance - grown == pytest.approx(4.0 + 20.0 * 5.0 * 0.02, abs=0.4)
     assert demand(200) == pytest.approx(swing, abs=2 * drive.resolution)  # an unknown set is stance
-    assert demand(200, 300) == pytest.approx(29.0 + (swing - 29.0) * np.exp(-1.0), abs=0.4)
+    assert demand(200, 30) == pytest.approx(29.0 + (swing - 29.0) * np.exp(-1.0), abs=0.4)
+    assert demand(200, 300) == pytest.approx(29.0, abs=0.1)
 
 
 def test_position_mode_follows_position_and_velocity(bench):

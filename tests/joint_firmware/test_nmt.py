@@ -285,7 +285,7 @@ def test_a_master_enables_a_drive_and_commands_torque_by_sdo_alone(rig):
     rig.node.sdo[0x2002].raw = GainSet.SWING  # an integral of 10 1/s; without a bump
     assert drive.motor_torque == pytest.approx(30.0, abs=0.1)
     rig.run(300)
-    assert drive.motor_torque == pytest.approx(30.0 + 10.0 * 15.0 * 0.1, abs=0.2)
+    assert drive.motor_torque == pytest.approx(30.0 + 10.0 * 15.0 * 0.1 + 15.0, abs=0.2)  # kp's share has faded in
     rig.node.sdo[0x6040].raw = 6
     assert (drive.state, drive.enabled) == (DriveState.READY_TO_SWITCH_ON, 0)
 

@@ -157,7 +157,7 @@ def test_an_inner_integral_whose_gain_is_taken_away_fades():
 
 
 @pytest.mark.parametrize("name", LAW_NAMES)
-def test_what_a_change_of_gains_carries_on_fades_or_is_integrated(name):
+def test_what_a_change_of_gains_carries_on_fades_in_10_ms(name):
     joint = JOINTS.get(name, HIP)
     drive = Drive(joint, law=name)
     c = drive.counts(0.0, 10.0)
@@ -165,7 +165,6 @@ def test_what_a_change_of_gains_carries_on_fades_or_is_integrated(name):
     drive(c, drive.command(torque=15.0, kp=4.0))
     carried = drive.state("carry")
     if name != "PD_m+DOB":  # its observer has made more of the error that stays
-        assert carried == pytest.approx((2.0 - 4.0) * 5.0, rel=0.02)
-    settled(drive, c, drive.command(torque=15.0, kp=4.0), 300)
-    expected = carried if name == "cascade" else carried * math.exp(-1.0)
-    assert drive.state("carry") == pytest.approx(expected, rel=0.02)
+        assert carried == pytest.approx((2.0 - 4.0) * 5.0, rel=0.05)  # a thirtieth of it has faded
+    settled(drive, c, drive.command(torque=15.0, kp=4.0), 30)
+    assert drive.state("carry") == pytest.approx(carried * math.exp(-1.0), rel=0.02)
