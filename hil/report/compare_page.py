@@ -55,8 +55,7 @@ def _runs(directory: Path, found: SideBySide) -> str:
     for index, run in enumerate(found.runs):
         swatch = f'<b style="color:{_colour(index)}">{found.letters[index]}</b>'
         link = run_link(directory, run.directory, run.directory.name)
-        cells = [swatch, link, html.escape(run.scenario.name), str(run.seed), f"{run.end:.2f} s",
-                 f"{run.verdict}: {html.escape(run.reason)}"]  # fmt: skip
+        cells = [swatch, link, html.escape(run.scenario.name), str(run.seed), f"{run.end:.2f} s"]
         rows.append([*(("", cell) for cell in cells), (" class=text", f"{run.verdict}: {html.escape(run.reason)}")])
     return _table(("", "run", "scenario", "seed", "simulated", "verdict"), rows)
 

@@ -33,6 +33,7 @@ def test_runs_side_by_side_tell_what_differs_and_by_how_much(
     page = Page(Path(told["page"]))
     assert "link.command.delay" in page.text
     assert all(link.startswith(("data:", "#", "../")) or not link.startswith("http") for link in page.links)
+    assert [len(row) for row in page.tables[0]] == [6, 6, 6]  # a verdict per run, once
     assert list(out.glob("*.png"))
     numbers = [json.loads((d / "run.json").read_text())["metrics"]["round_trip_p50"] for d in records]
     assert numbers[1] - numbers[0] == pytest.approx(1e-3, abs=0.7e-3)  # the delay, to a tick of the servo
