@@ -8,6 +8,7 @@ import os
 import signal
 import subprocess
 import sys
+import uuid
 from pathlib import Path
 
 import can
@@ -19,7 +20,7 @@ from hil.run import Request, assemble, run
 from hil.scenario import load
 
 # noise, jitter, loss and bit errors on, and long enough for the drives to be enabled and the hoist to let go
-RUN = f"run-{os.getpid()}"  # whose name all processes of one user see: a name per process of the tests
+
 ROUGH = [
     "duration=1.3s", "limits.settle=1.2s", "world.hoist.hold=0.3s", "world.hoist.release=0.2s",
     "controller.stand_at=0.2s", "link.state.jitter=50us", "link.command.loss=0.01", "bus.left_leg.jitter=20us",
@@ -105,7 +106,7 @@ def children_of(pid: int) -> list[int]:
 
 def start(tmp_path: Path) -> tuple[subprocess.Popen, list[int]]:
     """A long run in a process of its own, once it simulates; with the process ids of its children."""
-    out = tmp_path / RUN
+    out = tmp_path / f"system-{uuid.uuid4().hex[:8]}"  # a name of its own: all processes of one user see it
     command = [sys.executable, "-m", "hil", "run", "stand", "--duration", "1000s", "--json", "--out", str(out)]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     log = out / "left_leg.log"
@@ -141,7 +142,7 @@ def test_a_signal_ends_the_run_and_keeps_the_log(tmp_path: Path, number: signal.
     assert number.name in record["reason"]
     assert record["simulated_time"] > 0
     assert gone(children)
-    assert any(True for _ in can.CanutilsLogReader(tmp_path / RUN / "left_leg.log"))
+    assert any(True for _ in can.CanutilsLogReader(next(tmp_path.iterdir()) / "left_leg.log"))
 
 
 def test_the_death_of_a_joint_ends_the_run_with_its_name(tmp_path: Path) -> None:
@@ -163,11 +164,11 @@ def test_sigkill_of_the_launcher_leaves_no_process_and_a_readable_log(tmp_path: 
     assert gone(children)
     from hil.record.signals import load_tables
 
-    assert len(load_tables(tmp_path / RUN)["world"]) > 100
+    assert len(load_tables(next(tmp_path.iterdir()))["world"]) > 100
 
 
 def test_run_directory_is_read_back_by_stock_tools(tmp_path: Path) -> None:
-    out = tmp_path / RUN
+    out = tmp_path / "run"
     outcome = run(Request(load("stand", ["duration=0.3s"]), seed=1, backend="inline", out=out))
     messages = list(can.CanutilsLogReader(out / "left_leg.log"))
     assert len(messages) > 1000 and messages[10].is_fd
