@@ -64,6 +64,7 @@ class StepConfig(Config):
 
     start: Seconds = 1.2  # from the start of the run: the robot stands on its own by then
     first: Foot = 0  # the foot that lifts first: "right" or "left"
+    transition: bool = True  # (2.19): a foot's force fades in and out; false: single support begins and ends at once
     lean: Gain = 0.8  # m/s² with which the centre of mass is set in motion before the first step; 0: not at all
     timing: StepTiming = StepTiming()
     gains: SteppingGains = SteppingGains()

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from central_controller.behaviours.step import State, diagram
-from hil.analysis.stepping import touch_downs
+from hil.analysis.steps import touch_downs
 from hil.run import Request, assemble, run
 from hil.scenario import load
 
