@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -40,10 +41,9 @@ class Step:
     def durations(self, seconds: np.ndarray) -> dict[State, float]:
         """How long each of its states took [s], of those that the run saw the end of. ``seconds``: of all rows."""
         bounds = [*self.began.items(), (None, self.end)]
-        pairs = zip(bounds, bounds[1:], strict=False)
         return {
             state: float(seconds[after] - seconds[row])
-            for (state, row), (_, after) in pairs
+            for (state, row), (_, after) in pairwise(bounds)
             if state is not None and after < len(seconds)
         }
 
@@ -60,7 +60,7 @@ def steps_of(controller: Signals, world: Signals) -> list[Step]:
     state = controller["state"]
     starts = [*_entries(state, State.UNLOADING).tolist(), len(state)]
     found: list[Step] = []
-    for start, end in zip(starts, starts[1:], strict=False):
+    for start, end in pairwise(starts):
         rows = {phase: start + at for phase in PHASES if (at := _first(state[start:end] == phase)) is not None}
         if State.LOADING in rows:
             found.append(_step(len(found) + 1, controller, world, rows, end))
