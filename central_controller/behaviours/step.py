@@ -236,6 +236,8 @@ class Step:
         self._anchor[2] = self._ground  # or the errors of all steps would add up
         self._stance = stance
         self._gains[:] = self._gains_of[stance is not None]
+        if self._steps:  # falling freely: 1 N sideways at this height takes 5 N from a foot that carries little yet
+            self._gains[:, _COM_Y] = 0.0
 
     def _launch(self) -> tuple[float, float]:
         """Acceleration [m/s²] and duration [s] of the centre of mass towards the first stance foot, after which its
