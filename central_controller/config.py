@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, Self
+from typing import Annotated, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from central_controller.planning.config import OpenLoopConfig
 from central_controller.stepping_config import StepConfig
 from central_controller.task_gains import TaskGains
-from robots.quantities import Config, Gain, Hertz, Metres, Newtons, Seconds
+from robots.quantities import Config, Gain, Hertz, Metres, Newtons, Probability, Seconds
 
 
 class TaskSetConfig(Config):
@@ -54,13 +54,7 @@ class ContactForceConfig(Config):
 
     cutoff: Annotated[Hertz, Field(gt=0)] = 90.0  # each of two poles, of torques and velocities
     press: Newtons = 20.0  # from which a foot touches the ground; Hume's legs feel up to 9 N that are not there
-    release: Newtons = 10.0  # below which it no longer does
-
-    @model_validator(mode="after")
-    def _hysteresis(self) -> Self:
-        if self.release > self.press:
-            raise ValueError(f"release ({self.release:g} N) exceeds press ({self.press:g} N)")
-        return self
+    release: Probability = 0.5  # share of that below which it no longer does
 
 
 class ControllerConfig(Config):

@@ -64,7 +64,7 @@ class StepConfig(Config):
 
     start: Seconds = 1.2  # from the start of the run: the robot stands on its own by then
     first: Foot = 0  # the foot that lifts first: "right" or "left"
-    transition: bool = True  # (2.19): a foot's force fades in and out; false: single support begins and ends at once
+    transition: bool = True  # of forces, in and out (2.19); false: single support begins and ends at once
     lean: Gain = 0.8  # m/s² with which the centre of mass is set in motion before the first step; 0: not at all
     # Yaw is turned back by a couple of horizontal forces at the feet, which friction bounds: 0.1 rad times kp of 100 asks
     # of Hume, 0.3 kg m² about the vertical, 3 N m: 20 N at feet 15 cm apart, a third of what half its weight can hold.

@@ -134,7 +134,8 @@ class Contact:
             press = -self._forces[2, foot]
             row[foot] = press
             if abs(self._determinants[foot]) >= _SINGULAR:
-                self._touching[foot] = press > (config.release if self._touching[foot] else config.press)
+                share = config.release if self._touching[foot] else 1.0
+                self._touching[foot] = press > share * config.press
         if self._both:
             self._contacts *= self._touching
         else:
