@@ -336,7 +336,7 @@ def conclude(
         if request.video and len(tables["world"]):
             from hil.report.video import write_video
 
-            write_video(request.out, scenario, tables["world"])
+            write_video(request.out, scenario, tables)
         write_record(request.out, scenario, outcome, request.report, request.part_of)
     return outcome
 

@@ -91,7 +91,7 @@ def _add_video(directory: Path, scenario: Scenario, tables: dict[str, Any]) -> N
     from hil.report.page import write_report
     from hil.report.video import write_video
 
-    write_video(directory, scenario, tables["world"])
+    write_video(directory, scenario, tables)
     found = read_run(directory)
     if found.record is not None and (directory / "report.html").exists():
         write_report(directory, found.record, found.tables)
