@@ -64,6 +64,8 @@ class StepConfig(Config):
 
     start: Seconds = 1.2  # from the start of the run: the robot stands on its own by then
     first: Foot = 0  # the foot that lifts first: "right" or "left"
+    # "fixed": each foot lands where it stood before the first step, as seen from the centre of mass (Kim 2018 §2.2.1)
+    placement: Literal["planned", "fixed"] = "planned"
     lean: Gain = 0.8  # m/s² with which the centre of mass is set in motion before the first step; 0: not at all
     timing: StepTiming = StepTiming()
     gains: SteppingGains = SteppingGains()

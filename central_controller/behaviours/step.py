@@ -106,6 +106,7 @@ class Step:
         self._swing: int = self._stepping.first
         self._height = self._ground = 0.0  # of the centre of mass, and under the feet
         self._middle = (0.0, 0.0)  # where stepping began
+        self._stood = [(0.0, 0.0)] * len(_SIDES)  # of the feet, from the centre of mass, before the first step
         self._landed_force = np.zeros(3)  # of the foot that lifts or lands, in double support
         self._planned: Plan | None = None
         self._landing = 0.0  # s, planned length
@@ -178,6 +179,7 @@ class Step:
         if state is State.WAITING:
             if now >= self._stepping.start:
                 self._lean = self._launch()
+                self._stood = [self._place(foot) for foot in range(len(_SIDES))]
                 self._enter(State.LEANING, now)
         elif state is State.LEANING:
             if elapsed >= self._lean[1]:
@@ -300,10 +302,20 @@ class Step:
         # the weight goes over little by little: in the mean in the middle of it
         to_switch = to_touchdown + (timing.loading + timing.dual_support + timing.transition) / 2
         state = PendulumState(observer.x, observer.y, observer.vx, observer.vy)
+        if self._stepping.placement == "fixed":
+            com, (dx, dy) = self._seen[_COM], self._stood[self._swing]
+            foot = Foot(float(com[0]) + dx, float(com[1]) + dy, self._ground)
+            self._planned = Plan(foot, foot[:2], False, state, to_switch, 0.0, 0, True)
+            return
         stance = self._foot(self._stance)
         self._planned = self._planner.plan(
             state, stance, _SIDES[self._swing], to_switch, self._middle, self._ground
         )
+
+    def _place(self, foot: int) -> tuple[float, float]:
+        """Of a foot, from the centre of mass."""
+        com, place = self._seen[_COM], self._seen[_FEET][3 * foot : 3 * foot + 2]
+        return float(place[0] - com[0]), float(place[1] - com[1])
 
     def _target(self) -> Foot:
         """Where the swing foot shall land."""
@@ -368,7 +380,7 @@ class Step:
         "_held", "_landed_force",
     )  # fmt: skip
     _PLAIN = (
-        "_running", "_state", "_since", "_stance", "_swing", "_height", "_ground", "_middle", "_planned", "_landing",
+        "_running", "_state", "_since", "_stance", "_swing", "_height", "_ground", "_middle", "_stood", "_planned", "_landing",
         "_steps", "_lean", "_planner",
     )  # fmt: skip
 
