@@ -10,7 +10,7 @@ from pydantic import BeforeValidator
 from central_controller.estimation.pendulum_observer import PendulumNoise
 from central_controller.planning.config import PlannerConfig, StepTiming, SwingConfig
 from central_controller.task_gains import TaskGains
-from robots.quantities import Config, Gain, Seconds
+from robots.quantities import Config, Gain, Kilograms, Seconds
 
 
 class DoubleSupportGains(Config):
@@ -66,6 +66,9 @@ class StepConfig(Config):
     first: Foot = 0  # the foot that lifts first: "right" or "left"
     # "fixed": each foot lands where it stood before the first step, as seen from the centre of mass (Kim 2018 §2.2.1)
     placement: Literal["planned", "fixed"] = "planned"
+    # joints that turn out of the sagittal plane are held where they are, by their drives, and not by whole-body control
+    hold_abduction: bool = False
+    slider_mass: Kilograms = 0.0  # m_s of (7.5), that planner and observer count on
     lean: Gain = 0.8  # m/s² with which the centre of mass is set in motion before the first step; 0: not at all
     timing: StepTiming = StepTiming()
     gains: SteppingGains = SteppingGains()

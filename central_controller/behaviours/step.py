@@ -26,6 +26,7 @@ from central_controller.stepping_law import COORDINATES, OBSERVED, observed, ste
 from robots.description import Robot
 
 _SIDES = (RIGHT, LEFT)  # of the feet, in the robot's order
+_SAGITTAL = 0.999  # of a joint's axis along y: from here on it turns in the sagittal plane
 _LANDED_AFTER = 0.5  # of the landing: a switch that is closed before has not opened yet
 _COM, _COM_VELOCITY, _RPY, _FEET = map(observed, ("com", "com_velocity", "rpy", "feet"))
 _REACTION, _FELT = observed("reaction"), observed("felt")
@@ -163,10 +164,20 @@ class Step:
         self._middle = (float(seen[_COM][0]), float(seen[_COM][1]))
         gravity = space.robot.gravity
         surface = Plane(self._height)
-        self._planner = VelocityReversalPlanner(self._stepping.planner, Pendulum(surface, gravity))
-        self._observer = PendulumObserver(self._height, self._config.rate, self._stepping.observer, gravity)
+        ratio = space.robot.mass / (space.robot.mass + self._stepping.slider_mass)
+        self._planner = VelocityReversalPlanner(self._stepping.planner, Pendulum(surface, gravity, ratio))
+        self._observer = PendulumObserver(self._height, self._config.rate, self._stepping.observer, ratio * gravity)
         self._observer.reset(*self._middle, 0.0, 0.0)
+        if self._stepping.hold_abduction:
+            self._hold_out_of_plane()
         self._running = True
+
+    def _hold_out_of_plane(self) -> None:
+        """The drives hold the joints that do not turn about y where they are."""
+        self.setpoints.positions = (self._space.counts[: self._n] * messages.RADIAN).tolist()
+        for k, joint in enumerate(self._space.robot.joints):
+            if abs(joint.axis[1]) < _SAGITTAL:
+                self.setpoints.modes[k] = Mode.POSITION
 
     # --- the state machine ------------------------------------------------------------------------------------
 
@@ -311,6 +322,9 @@ class Step:
         self._planned = self._planner.plan(
             state, stance, _SIDES[self._swing], to_switch, self._middle, self._ground
         )
+        if not self._stepping.planner.lateral:
+            beside = self._planned.foot._replace(y=float(self._seen[_FEET][3 * self._swing + 1]))
+            self._planned = self._planned._replace(foot=beside)
 
     def _place(self, foot: int) -> tuple[float, float]:
         """Of a foot, from the centre of mass."""
@@ -389,6 +403,8 @@ class Step:
             **{name: getattr(self, name).copy() for name in self._ARRAYS},
             **{name: getattr(self, name) for name in self._PLAIN},
             "gain_sets": list(self.setpoints.gain_sets),
+            "modes": list(self.setpoints.modes),
+            "positions": self.setpoints.positions,
             "swing_path": self._swing_path.snapshot(),
             "observer": None if self._observer is None else (self._observer, self._observer.snapshot()),
         }
@@ -399,6 +415,8 @@ class Step:
         for name in self._PLAIN:
             setattr(self, name, state[name])
         self.setpoints.gain_sets[:] = state["gain_sets"]
+        self.setpoints.modes[:] = state["modes"]
+        self.setpoints.positions = state["positions"]
         self._swing_path.restore(state["swing_path"])
         self._observer = None
         if state["observer"] is not None:
