@@ -10,7 +10,7 @@ from pydantic import BeforeValidator
 from central_controller.estimation.pendulum_observer import PendulumNoise
 from central_controller.planning.config import PlannerConfig, StepTiming, SwingConfig
 from central_controller.task_gains import TaskGains
-from robots.quantities import Config, Gain, Kilograms, Seconds
+from robots.quantities import Config, Gain, Kilograms, MetresPerSecond, Seconds
 
 
 class DoubleSupportGains(Config):
@@ -69,6 +69,8 @@ class StepConfig(Config):
     # joints that turn out of the sagittal plane are held where they are, by their drives, and not by whole-body control
     hold_abduction: bool = False
     slider_mass: Kilograms = 0.0  # m_s of (7.5), that planner and observer count on
+    goal_velocity_x: MetresPerSecond = 0.0  # of the planner's goal, which begins to move with the first step
+    goal_velocity_y: MetresPerSecond = 0.0
     lean: Gain = 0.8  # m/s² with which the centre of mass is set in motion before the first step; 0: not at all
     timing: StepTiming = StepTiming()
     gains: SteppingGains = SteppingGains()

@@ -320,11 +320,17 @@ class Step:
             return
         stance = self._foot(self._stance)
         self._planned = self._planner.plan(
-            state, stance, _SIDES[self._swing], to_switch, self._middle, self._ground
+            state, stance, _SIDES[self._swing], to_switch, self._goal(now + to_switch), self._ground
         )
         if not self._stepping.planner.lateral:
             beside = self._planned.foot._replace(y=float(self._seen[_FEET][3 * self._swing + 1]))
             self._planned = self._planned._replace(foot=beside)
+
+    def _goal(self, time: float) -> tuple[float, float]:
+        """x, y [m] that the planner is pulled to, at ``time``."""
+        config, (x, y) = self._stepping, self._middle
+        gone = time - config.start
+        return x + config.goal_velocity_x * gone, y + config.goal_velocity_y * gone
 
     def _place(self, foot: int) -> tuple[float, float]:
         """Of a foot, from the centre of mass."""
