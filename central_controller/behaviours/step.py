@@ -30,7 +30,7 @@ _SAGITTAL = 0.999  # of a joint's axis along y: from here on it turns in the sag
 _LANDED_AFTER = 0.5  # of the landing: a switch that is closed before has not opened yet
 _COM, _COM_VELOCITY, _RPY, _FEET = map(observed, ("com", "com_velocity", "rpy", "feet"))
 _REACTION, _FELT = observed("reaction"), observed("felt")
-_COM_Y, _COM_Z, _FOOT = COORDINATES.index("com_y"), COORDINATES.index("com_z"), COORDINATES.index("foot_x")
+_COM_Y, _COM_Z, _YAW, _FOOT = map(COORDINATES.index, ("com_y", "com_z", "yaw", "foot_x"))
 
 
 class State(IntEnum):
@@ -284,6 +284,8 @@ class Step:
         reference = self._reference
         reference[:, :_FOOT] = 0.0
         reference[0, _COM_Z] = self._height
+        yaw, limit = float(self._seen[_RPY][2]), self._stepping.yaw_error_limit
+        reference[0, _YAW] = yaw - min(limit, max(-limit, yaw))
         t = now - self._since
         if self._state is State.LEANING:
             a = self._lean[0]

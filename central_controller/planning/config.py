@@ -65,6 +65,7 @@ class PlannerConfig(Config):
     reversal_time_y: Annotated[Seconds, Positive] = 0.18  # t'_y
     kappa_x: Gain = 0.4  # pull towards the goal
     kappa_y: Gain = 0.4
+    goal_distance: Annotated[Metres, Positive] = 1.0  # a goal further away pulls no more than one at this distance
     lateral_bias: Metres = 0.0  # the foot is put this much further out; 3 to 5 cm alone keep the feet apart
     replan_at: Annotated[float, Field(ge=0, le=1)] = 0.7  # of the lifting state
     integration_step: Annotated[Seconds, Positive] = 0.01

@@ -79,8 +79,8 @@ class VelocityReversalPlanner:
         if not converged:  # hopelessly far from any step; what a level surface would ask for is brought into reach
             x, y = guess
         wanted = (
-            x + config.kappa_x * (switching.x - goal[0]),
-            y + config.kappa_y * (switching.y - goal[1]) + side * config.lateral_bias,
+            x + config.kappa_x * self._away(switching.x, goal[0]),
+            y + config.kappa_y * self._away(switching.y, goal[1]) + side * config.lateral_bias,
         )
         if not config.lateral:
             wanted = wanted[0], stance.y
@@ -95,6 +95,11 @@ class VelocityReversalPlanner:
     def path(self, plan: Plan, duration: float, step: float = 0.005) -> np.ndarray:
         """Rows t, x, y, vx, vy predicted after the switch, on the planned foot; t from the switch [s]."""
         return self._pendulum.path(plan.switching, plan.foot, duration, step)
+
+    def _away(self, position: float, goal: float) -> float:
+        """How far from the goal, as far as it pulls."""
+        limit = self._config.goal_distance
+        return min(limit, max(-limit, position - goal))
 
     def _reach_ahead(self, state: PendulumState, ground: float, reversal_time: float, ratio: float = 1.0) -> float:
         """coth(ω t')/ω [s] of (4.32) at the height of ``state`` above the ``ground``; ``ratio``: of masses, (7.5)."""
@@ -117,7 +122,7 @@ class VelocityReversalPlanner:
             width = side * (
                 y - stance.y
                 + vy * self._reach_ahead(switching, ground, config.reversal_time_y)
-                + config.kappa_y * (y - goal)
+                + config.kappa_y * self._away(y, goal)
             ) + config.lateral_bias  # fmt: skip
             if width >= wanted.step_width and outwards >= wanted.lateral_speed:
                 break
