@@ -10,7 +10,7 @@ from pydantic import BeforeValidator, Field
 from central_controller.estimation.pendulum_observer import PendulumNoise
 from central_controller.planning.config import PlannerConfig, StepTiming, SwingConfig
 from central_controller.task_gains import TaskGains
-from robots.quantities import Config, Gain, Radians, Seconds
+from robots.quantities import Config, Gain, Kilograms, MetresPerSecond, Radians, Seconds
 
 
 class DoubleSupportGains(Config):
@@ -65,9 +65,16 @@ class StepConfig(Config):
     start: Seconds = 1.2  # from the start of the run: the robot stands on its own by then
     first: Foot = 0  # the foot that lifts first: "right" or "left"
     transition: bool = True  # of forces, in and out (2.19); false: single support begins and ends at once
+    # "fixed": each foot lands where it stood before the first step, as seen from the centre of mass (Kim 2018 §2.2.1)
+    placement: Literal["planned", "fixed"] = "planned"
+    # joints that turn out of the sagittal plane are held where they are, by their drives, and not by whole-body control
+    hold_abduction: bool = False
+    slider_mass: Kilograms = 0.0  # m_s of (7.5), that planner and observer count on
+    goal_velocity_x: MetresPerSecond = 0.0  # of the planner's goal, which begins to move with the first step
+    goal_velocity_y: MetresPerSecond = 0.0
     lean: Gain = 0.8  # m/s² with which the centre of mass is set in motion before the first step; 0: not at all
-    # Yaw is turned back by a couple of horizontal forces at the feet, which friction bounds: 0.1 rad times kp of 100 asks
-    # of Hume, 0.3 kg m² about the vertical, 3 N m: 20 N at feet 15 cm apart, a third of what half its weight can hold.
+    # Yaw is turned back by a couple of horizontal forces at the feet, which friction bounds: 0.1 rad times kp of 100
+    # asks of Hume, 0.3 kg m² about the vertical, 3 N m: 20 N at feet 15 cm apart, a third of what half its weight can.
     yaw_error_limit: Annotated[Radians, Field(gt=0)] = 0.1
     timing: StepTiming = StepTiming()
     gains: SteppingGains = SteppingGains()

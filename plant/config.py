@@ -49,6 +49,7 @@ class PlanarizerConfig(Config):
     slider_mass: Kilograms = 5.0  # moves with the robot in x (Kim 2018 §5.1.2)
     roll_stiffness: TorquePerRadian = 1500.0  # "slightly flexible"; ASSUMED
     roll_damping: TorquePerRate = 20.0
+    lock_x: bool = False  # its slider is locked where the robot starts (Kim 2018 §2.2.1)
 
 
 class HoistConfig(Config):

@@ -82,6 +82,8 @@ def build(
     visuals.scene(spec, stance)
     _terrain(spec, robot, stance, terrain)
     torso = _base(spec, robot, planarizer)
+    if planarizer.enabled and planarizer.lock_x:
+        _lock(spec, "slider_x", float(stance.torso[0]))
     _legs(spec, robot, torso, shank_stiffness)
     if leds and robot.motion_capture is not None:
         visuals.leds(spec, robot.motion_capture)
@@ -161,6 +163,14 @@ def _base(spec: mujoco.MjSpec, robot: Robot, planarizer: PlanarizerConfig) -> An
     ), _TORSO)  # fmt: skip
     visuals.torso(torso, robot)
     return torso
+
+
+def _lock(spec: mujoco.MjSpec, joint: str, at: float) -> None:
+    """Hold the sliding ``joint`` at one place [m], as hard as the ground is."""
+    lock = spec.add_equality(name=f"{joint}_lock", type=mujoco.mjtEq.mjEQ_JOINT, name1=joint)
+    lock.data[0] = at
+    lock.solref = np.array([CONTACT_TIME_CONSTANT, 1.0])
+    lock.solimp = np.array(CONTACT_IMPEDANCE)
 
 
 def _legs(spec: mujoco.MjSpec, robot: Robot, torso: Any, shank_stiffness: float) -> None:

@@ -26,6 +26,7 @@ from central_controller.stepping_law import COORDINATES, OBSERVED, observed, ste
 from robots.description import Robot
 
 _SIDES = (RIGHT, LEFT)  # of the feet, in the robot's order
+_SAGITTAL = 0.999  # of a joint's axis along y: from here on it turns in the sagittal plane
 _LANDED_AFTER = 0.5  # of the landing: a switch that is closed before has not opened yet
 _COM, _COM_VELOCITY, _RPY, _FEET = map(observed, ("com", "com_velocity", "rpy", "feet"))
 _REACTION, _FELT = observed("reaction"), observed("felt")
@@ -106,6 +107,7 @@ class Step:
         self._swing: int = self._stepping.first
         self._height = self._ground = 0.0  # of the centre of mass, and under the feet
         self._middle = (0.0, 0.0)  # where stepping began
+        self._stood = [(0.0, 0.0)] * len(_SIDES)  # of the feet, from the centre of mass, before the first step
         self._landed_force = np.zeros(3)  # of the foot that lifts or lands, in double support
         self._planned: Plan | None = None
         self._landing = 0.0  # s, planned length
@@ -162,10 +164,20 @@ class Step:
         self._middle = (float(seen[_COM][0]), float(seen[_COM][1]))
         gravity = space.robot.gravity
         surface = Plane(self._height)
-        self._planner = VelocityReversalPlanner(self._stepping.planner, Pendulum(surface, gravity))
-        self._observer = PendulumObserver(self._height, self._config.rate, self._stepping.observer, gravity)
+        ratio = space.robot.mass / (space.robot.mass + self._stepping.slider_mass)
+        self._planner = VelocityReversalPlanner(self._stepping.planner, Pendulum(surface, gravity, ratio))
+        self._observer = PendulumObserver(self._height, self._config.rate, self._stepping.observer, ratio * gravity)
         self._observer.reset(*self._middle, 0.0, 0.0)
+        if self._stepping.hold_abduction:
+            self._hold_out_of_plane()
         self._running = True
+
+    def _hold_out_of_plane(self) -> None:
+        """The drives hold the joints that do not turn about y where they are."""
+        self.setpoints.positions = (self._space.counts[: self._n] * messages.RADIAN).tolist()
+        for k, joint in enumerate(self._space.robot.joints):
+            if abs(joint.axis[1]) < _SAGITTAL:
+                self.setpoints.modes[k] = Mode.POSITION
 
     # --- the state machine ------------------------------------------------------------------------------------
 
@@ -178,6 +190,7 @@ class Step:
         if state is State.WAITING:
             if now >= self._stepping.start:
                 self._lean = self._launch()
+                self._stood = [self._place(foot) for foot in range(len(_SIDES))]
                 self._enter(State.LEANING, now)
         elif state is State.LEANING:
             if elapsed >= self._lean[1]:
@@ -303,10 +316,29 @@ class Step:
         # the weight goes over little by little: in the mean in the middle of it
         to_switch = to_touchdown + (timing.loading + timing.dual_support + timing.transition) / 2
         state = PendulumState(observer.x, observer.y, observer.vx, observer.vy)
+        if self._stepping.placement == "fixed":
+            com, (dx, dy) = self._seen[_COM], self._stood[self._swing]
+            foot = Foot(float(com[0]) + dx, float(com[1]) + dy, self._ground)
+            self._planned = Plan(foot, foot[:2], False, state, to_switch, 0.0, 0, True)
+            return
         stance = self._foot(self._stance)
         self._planned = self._planner.plan(
-            state, stance, _SIDES[self._swing], to_switch, self._middle, self._ground
+            state, stance, _SIDES[self._swing], to_switch, self._goal(now + to_switch), self._ground
         )
+        if not self._stepping.planner.lateral:
+            beside = self._planned.foot._replace(y=float(self._seen[_FEET][3 * self._swing + 1]))
+            self._planned = self._planned._replace(foot=beside)
+
+    def _goal(self, time: float) -> tuple[float, float]:
+        """x, y [m] that the planner is pulled to, at ``time``."""
+        config, (x, y) = self._stepping, self._middle
+        gone = time - config.start
+        return x + config.goal_velocity_x * gone, y + config.goal_velocity_y * gone
+
+    def _place(self, foot: int) -> tuple[float, float]:
+        """Of a foot, from the centre of mass."""
+        com, place = self._seen[_COM], self._seen[_FEET][3 * foot : 3 * foot + 2]
+        return float(place[0] - com[0]), float(place[1] - com[1])
 
     def _target(self) -> Foot:
         """Where the swing foot shall land."""
@@ -371,7 +403,7 @@ class Step:
         "_held", "_landed_force",
     )  # fmt: skip
     _PLAIN = (
-        "_running", "_state", "_since", "_stance", "_swing", "_height", "_ground", "_middle", "_planned", "_landing",
+        "_running", "_state", "_since", "_stance", "_swing", "_height", "_ground", "_middle", "_stood", "_planned", "_landing",
         "_steps", "_lean", "_planner",
     )  # fmt: skip
 
@@ -380,6 +412,8 @@ class Step:
             **{name: getattr(self, name).copy() for name in self._ARRAYS},
             **{name: getattr(self, name) for name in self._PLAIN},
             "gain_sets": list(self.setpoints.gain_sets),
+            "modes": list(self.setpoints.modes),
+            "positions": self.setpoints.positions,
             "swing_path": self._swing_path.snapshot(),
             "observer": None if self._observer is None else (self._observer, self._observer.snapshot()),
         }
@@ -390,6 +424,8 @@ class Step:
         for name in self._PLAIN:
             setattr(self, name, state[name])
         self.setpoints.gain_sets[:] = state["gain_sets"]
+        self.setpoints.modes[:] = state["modes"]
+        self.setpoints.positions = state["positions"]
         self._swing_path.restore(state["swing_path"])
         self._observer = None
         if state["observer"] is not None:

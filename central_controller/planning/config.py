@@ -60,6 +60,7 @@ class ExtensionConfig(Config):
 class PlannerConfig(Config):
     """Foot placement by constant time to velocity reversal (Kim 2018 §4.3)."""
 
+    lateral: bool = True  # false: feet are placed in x alone, for a planarizer holds y
     reversal_time_x: Annotated[Seconds, Positive] = 0.185  # t'_x
     reversal_time_y: Annotated[Seconds, Positive] = 0.18  # t'_y
     kappa_x: Gain = 0.4  # pull towards the goal

@@ -54,7 +54,7 @@ class VelocityReversalPlanner:
         goal: tuple[float, float],
         landing_height: float = 0.0,
     ) -> Plan:
-        """Plan the next foot.
+        """Plan the next foot. Without ``lateral`` in the configuration all of the plan has the stance foot's y.
 
         Args:
             state: of the centre of mass now, world.
@@ -65,10 +65,14 @@ class VelocityReversalPlanner:
             landing_height: z of the ground where the foot will land [m].
         """
         config = self._config
-        switching = self._pendulum.advance(state, stance, remaining, config.integration_step)
-        switching, extension = self._extended(switching, stance, side, goal[1], landing_height)
+        if not config.lateral:  # at rest above the stance foot, the pendulum stays in the plane
+            state, goal = state._replace(y=stance.y, vy=0.0), (goal[0], stance.y)
+        switching, extension = self._pendulum.advance(state, stance, remaining, config.integration_step), 0.0
+        if config.lateral:
+            switching, extension = self._extended(switching, stance, side, goal[1], landing_height)
+        ratio = self._pendulum.mass_ratio
         guess = (
-            switching.x + switching.vx * self._reach_ahead(switching, landing_height, config.reversal_time_x),
+            switching.x + switching.vx * self._reach_ahead(switching, landing_height, config.reversal_time_x, ratio),
             switching.y + switching.vy * self._reach_ahead(switching, landing_height, config.reversal_time_y),
         )
         x, y, iterations, converged = self._reversal(switching, guess, landing_height)
@@ -78,7 +82,11 @@ class VelocityReversalPlanner:
             x + config.kappa_x * self._away(switching.x, goal[0]),
             y + config.kappa_y * self._away(switching.y, goal[1]) + side * config.lateral_bias,
         )
+        if not config.lateral:
+            wanted = wanted[0], stance.y
         foot = nearest_reachable(config.reach, side, wanted, stance, (switching.x, switching.y))
+        if not config.lateral:
+            foot = foot[0], stance.y
         return Plan(
             Foot(*foot, landing_height), wanted, foot != wanted, switching, remaining + extension, extension,
             iterations, converged,
@@ -93,9 +101,9 @@ class VelocityReversalPlanner:
         limit = self._config.goal_distance
         return min(limit, max(-limit, position - goal))
 
-    def _reach_ahead(self, state: PendulumState, ground: float, reversal_time: float) -> float:
-        """coth(ω t')/ω [s] of (4.32) at the height of ``state`` above the ``ground``."""
-        omega = math.sqrt(self._pendulum.gravity / (self._pendulum.surface(state.x, state.y)[0] - ground))
+    def _reach_ahead(self, state: PendulumState, ground: float, reversal_time: float, ratio: float = 1.0) -> float:
+        """coth(ω t')/ω [s] of (4.32) at the height of ``state`` above the ``ground``; ``ratio``: of masses, (7.5)."""
+        omega = math.sqrt(ratio * self._pendulum.gravity / (self._pendulum.surface(state.x, state.y)[0] - ground))
         return 1.0 / (omega * math.tanh(omega * reversal_time))
 
     def _extended(

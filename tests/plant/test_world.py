@@ -172,7 +172,10 @@ def test_mass_matrix_and_weight_are_pinocchios(variant):
 PUSH = PushConfig(at="50ms", duration="40ms", ramp="10ms", force=("40N", "0N", "-5N"))
 
 
-@pytest.mark.parametrize("planarizer", [True, False])
+@pytest.mark.parametrize(
+    "planarizer", [PlanarizerConfig(), PlanarizerConfig(lock_x=True), PlanarizerConfig(enabled=False)],
+    ids=["sliding", "locked", "none"],
+)  # fmt: skip
 def test_a_restored_world_continues_bit_for_bit(planarizer):
     def record(node):
         rows, samples = [], []
@@ -182,7 +185,7 @@ def test_a_restored_world_continues_bit_for_bit(planarizer):
                 samples.append(node.imu())
         return np.array(rows), samples
 
-    config = {"planarizer": PlanarizerConfig(enabled=planarizer), "pushes": [PUSH], "sensors": SensorConfig()}
+    config = {"planarizer": planarizer, "pushes": [PUSH], "sensors": SensorConfig()}
     node = world(**config)
     hold(node, 200)
     node.imu()
@@ -201,6 +204,20 @@ def test_runs_of_one_seed_are_equal_and_of_another_differ_in_noise_only():
     same, twin, other = (world(sensors=SensorConfig(), seed=seed) for seed in (1, 1, 2))
     assert same.imu() == twin.imu() != other.imu()
     assert (same.truth() == other.truth()).all()
+
+
+def test_a_locked_slider_stays_where_it_is():
+    """200 N for 0.1 s would move 28 kg that are free by 35 mm; the hoist's springs are off by then."""
+    push = PushConfig(at="50ms", duration="100ms", force=("200N", "0N", "0N"))
+    moved = {}
+    for locked in (False, True):
+        node = world(
+            pushes=[push], hoist=HoistConfig(hold="0s", release="0s"), planarizer=PlanarizerConfig(lock_x=locked)
+        )
+        rows = []
+        hold(node, 450, rows, every=1)
+        moved[locked] = np.ptp(column(node, rows, "base.x"))
+    assert moved[True] < 1e-4 < 2e-3 < moved[False]
 
 
 @pytest.mark.parametrize("ramp", ["0s", "10ms"])

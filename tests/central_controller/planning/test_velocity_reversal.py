@@ -46,6 +46,21 @@ def test_on_a_level_surface_the_foot_is_that_of_the_formula(state: PendulumState
 
 
 @given(state=states)
+def test_in_the_plane_only_x_is_planned_with_the_slider_s_mass(state: PendulumState) -> None:
+    """Kim 2018 (7.5): on a level surface the slider makes gravity smaller by r, for x."""
+    ratio, stance, goal = 0.82, Foot(0.02, -0.14), (0.1, 3.0)
+    config = PlannerConfig.model_validate({**FREE, "lateral": False})
+    plan = VelocityReversalPlanner(config, Pendulum(Plane(HEIGHT), mass_ratio=ratio)).plan(state, stance, LEFT, 0.2, goal)
+    switching = on_level(state, stance, HEIGHT, 0.2, ratio * 9.81)
+    omega = math.sqrt(ratio * 9.81 / HEIGHT)
+    place = (1 + config.kappa_x) * switching.x - config.kappa_x * goal[0]
+    place += switching.vx / (omega * math.tanh(omega * config.reversal_time_x))
+    assert plan.foot.x == pytest.approx(place, abs=1e-5)
+    assert (plan.switching.x, plan.switching.vx) == pytest.approx((switching.x, switching.vx), abs=1e-6)
+    assert plan.foot.y == plan.switching.y == stance.y and plan.extension == 0.0 and not plan.projected
+
+
+@given(state=states)
 def test_on_a_platform_both_velocities_vanish_in_their_times(state: PendulumState) -> None:
     plan = planner(PLATFORM, kappa_x=0, kappa_y=0, **FREE, **PROMPT).plan(
         state, Foot(0.0, -0.1), LEFT, 0.15, (0.0, 0.0), 0.0
