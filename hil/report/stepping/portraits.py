@@ -44,10 +44,9 @@ def draw_portraits(
     for axes in np.ravel(grid):
         axes.set_visible(False)
         axes.grid(alpha=0.3)
-    gravity = description.load(configuration["robot"]).gravity
     switches = {step.number: at for step, at in zip(steps, switch_rows(controller, steps), strict=True)}
     for at, step in enumerate(chosen):
-        predicted = predictions(controller, step, switches, gravity)
+        predicted = predictions(configuration, controller, step, switches)
         for axis in range(2):
             axes = grid[2 * (at // _COLUMNS) + axis, at % _COLUMNS]
             axes.set_visible(True)
@@ -87,28 +86,30 @@ def switch_rows(controller: Signals, steps: Sequence[Step]) -> list[int]:
 
 
 def predictions(
-    controller: Signals, step: Step, switches: Mapping[int, int], gravity: float
+    configuration: Mapping[str, Any], controller: Signals, step: Step, switches: Mapping[int, int]
 ) -> tuple[np.ndarray, np.ndarray] | None:
     """What the plan of ``step`` expected before and after the switch: rows t, x, y, vx, vy in the controller's
-    coordinates. None without a plan."""
-    row = step.planned_at
-    if row is None:
+    coordinates, NaN in y where a planarizer holds it. None without a plan that predicts."""
+    row, stepping = step.planned_at, configuration["controller"]["stepping"]
+    if row is None or stepping["placement"] == "fixed":
         return None
 
     def value(*names: str) -> list[float]:
         return [float(controller[name][row]) for name in names]
 
+    robot = description.load(configuration["robot"])
     (height,) = value("com_reference.z")
-    pendulum = Pendulum(Plane(height), gravity)
+    pendulum = Pendulum(Plane(height), robot.gravity, robot.mass / (robot.mass + stepping["slider_mass"]))
     stance = Foot(*value(*(f"foot.{step.stance}.{axis}" for axis in "xyz")))
     now = PendulumState(*value("pendulum.x", "pendulum.y", "pendulum.vx", "pendulum.vy"))
     (remaining,) = value("plan.remaining")
-    before = pendulum.path(now, stance, remaining, _PREDICTION_STEP)
     switching = PendulumState(*value("plan.x", "plan.y", "plan.vx", "plan.vy"))
     x, y = value("plan.foot.x", "plan.foot.y")
-    target = Foot(x, y, stance.z)
-    ahead = _until(controller, step, switches)
-    return before, pendulum.path(switching, target, ahead, _PREDICTION_STEP)
+    before = pendulum.path(now, stance, remaining, _PREDICTION_STEP)
+    after = pendulum.path(switching, Foot(x, y, stance.z), _until(controller, step, switches), _PREDICTION_STEP)
+    if not stepping["planner"]["lateral"]:
+        before[:, [2, 4]] = after[:, [2, 4]] = np.nan
+    return before, after
 
 
 def _until(controller: Signals, step: Step, switches: Mapping[int, int]) -> float:

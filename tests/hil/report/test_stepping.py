@@ -49,7 +49,7 @@ def test_what_is_predicted_is_the_pendulum_that_the_record_follows(tables: dict[
     steps = steps_of(controller, tables["world"])
     rows = dict(zip([s.number for s in steps], switch_rows(controller, steps), strict=True))
     for n, step in enumerate(steps[:3]):
-        both = predictions(controller, step, rows, 9.81)
+        both = predictions(CONFIGURATION, controller, step, rows)
         assert both is not None
         before, after = both
         begin = FIRST + n * STEP + PLAN
@@ -60,6 +60,17 @@ def test_what_is_predicted_is_the_pendulum_that_the_record_follows(tables: dict[
         assert after[-1, 0] == pytest.approx((rows[step.number + 1] - rows[step.number]) / 1000)
         ahead = [on_level(PendulumState(*after[0, 1:]), Foot(*step.planned), HEIGHT, t) for t in after[:, 0]]
         assert after[:, 1:] == pytest.approx(np.array(ahead), abs=2e-5)
+
+
+def test_what_is_not_planned_is_not_predicted(tables: dict[str, Signals]) -> None:
+    controller = tables["controller"]
+    step, following, *_ = steps_of(controller, tables["world"])
+    rows = dict(zip((1, 2), switch_rows(controller, [step, following]), strict=True))
+    both = predictions(load("walk-planar").model_dump(mode="json"), controller, step, rows)
+    assert both is not None
+    for path in both:
+        assert np.isnan(path[:, [2, 4]]).all() and np.isfinite(path[:, [1, 3]]).all()
+    assert predictions(load("step-in-place").model_dump(mode="json"), controller, step, rows) is None
 
 
 def test_of_many_steps_the_first_and_the_last_are_drawn(tables: dict[str, Signals]) -> None:
