@@ -13,7 +13,7 @@ joint: how its origin accelerates, less gravity, is the IMU's to tell,
     f_base = f_imu − ω̇ × r − ω × (ω × r),    (A v̇ + h)_l = (A [f_base; ω̇; q̈])_l + (h − A [Rᵀ (0, 0, g); 0; 0])_l
 
 A foot that strikes the ground decelerates the leg at once, long before the controller has it press: without the term
-A v̇ a touch-down is felt as late as the controller loads the foot, 20 ms (docs/walking.md).
+A v̇ a touch-down is felt as late as the controller loads the foot, 20 ms (docs/examples/contact_detection.py).
 """
 
 from __future__ import annotations

@@ -74,9 +74,9 @@ def _of_stepping(metrics: Mapping[str, Any]) -> list[Number]:
     step = "N m per tick"
     return [
         Number("steps", metrics["steps"]),
-        Number("torso's tilt while stepping steadily, largest", metrics["orientation_error_max_steady"], 1.0, "rad"),
-        Number("foot placement, error rms", metrics["foot_placement_error_rms"], 100.0, "cm"),
-        Number("foot placement, error largest", metrics["foot_placement_error_max"], 100.0, "cm"),
-        Number("torque step when a foot lifts, largest", metrics["torque_step_at_lift_max"], 1.0, step),
-        Number("torque step when a foot lands, largest", metrics["torque_step_at_touchdown_max"], 1.0, step),
+        Number("tilt in steady steps, largest", metrics["orientation_error_max_steady"], 180.0 / math.pi, "°"),
+        Number("foot placement, rms", metrics["foot_placement_error_rms"], 100.0, "cm"),
+        Number("foot placement, largest", metrics["foot_placement_error_max"], 100.0, "cm"),
+        Number("torque step at lift, largest", metrics["torque_step_at_lift_max"], 1.0, step),
+        Number("torque step at touch-down", metrics["torque_step_at_touchdown_max"], 1.0, step),
     ]

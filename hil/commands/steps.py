@@ -85,7 +85,7 @@ def _draw(run: Recorded, directory: Path) -> list[Path]:
     files = []
     for name, (_, _, figure) in figures(run.configuration, run.tables).items():
         files.append(directory / f"steps-{name}.png")
-        figure.savefig(files[-1], dpi=150)
+        figure.savefig(files[-1], dpi=120)
     return files
 
 

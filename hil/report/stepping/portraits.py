@@ -18,7 +18,7 @@ from hil.analysis.steps import Step
 from hil.record.signals import Signals
 from robots import description
 
-_SHOWN = 12  # of more steps the first and the last half of this
+_SHOWN = 8  # of more steps the first and the last half of this
 _COLUMNS = 4
 _PREDICTION_STEP = 0.005  # s
 # observed: before and after the switch, from one to the next; predicted: likewise

@@ -77,7 +77,7 @@ def test_of_many_steps_the_first_and_the_last_are_drawn(tables: dict[str, Signal
     steps = steps_of(tables["controller"], tables["world"])
     assert shown(steps) == steps
     many = shown(steps * 5)
-    assert len(many) == 12 and many[:4] == steps and many[-4:] == steps
+    assert len(many) == 8 and many[:4] == steps and many[-4:] == steps
 
 
 def test_the_ellipse_is_that_of_the_mean_squares() -> None:
