@@ -14,6 +14,7 @@ from hil.analysis.steps import Step
 from hil.record.signals import Signals
 from hil.report.drawing import draw_line, new_figure
 
+_NUMBERED = 40  # steps; numbers of more would cover their feet
 _COLOURS = ("tab:blue", "tab:orange")
 
 
@@ -75,7 +76,7 @@ def draw_paths(controller: Signals, world: Signals, steps: Sequence[Step]) -> tu
         planned, landed = stood + [step.planned for step in own], stood + [step.landed for step in own]
         axes.plot(*planned.T, "o", markerfacecolor="none", color="k", markersize=8, label=f"{name}, planned")
         axes.plot(*landed.T, "x", color=colour, markersize=7, label=f"{name}, landed")
-        for step, place in zip(own, landed, strict=True):
+        for step, place in zip(own, landed, strict=True) if len(steps) <= _NUMBERED else ():
             axes.annotate(str(step.number), place, (5, 4), textcoords="offset points", fontsize=7, color=colour)
     axes.set(xlabel="x [m]", ylabel="y [m]")
     axes.set_aspect("equal", adjustable="datalim")

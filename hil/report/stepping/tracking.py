@@ -17,13 +17,12 @@ def tracking(controller: Signals, steps: Sequence[Step]) -> dict[str, np.ndarray
     error = controller.group("torque_command") - controller.group("torque_sensed")
     found = {}
     for foot in sorted({step.swing for step in steps}, reverse=True):
-        squares = [np.full((0, error.shape[1]), np.nan) for _ in PHASES]
+        squares: list[list[np.ndarray]] = [[np.empty((0, error.shape[1]))] for _ in PHASES]
         for step in (step for step in steps if step.swing == foot):
             bounds = [*step.began.values(), step.end]
             for state, begin, end in zip(step.began, bounds, bounds[1:], strict=False):
-                at = PHASES.index(state)
-                squares[at] = np.concatenate([squares[at], np.square(error[begin:end])])
-        found[foot] = np.array([_root_mean(rows) for rows in squares]).T
+                squares[PHASES.index(state)].append(np.square(error[begin:end]))
+        found[foot] = np.array([_root_mean(np.concatenate(rows)) for rows in squares]).T
     return found
 
 
