@@ -1,6 +1,8 @@
 """How soon, and how surely, `controller.contact = "force"` tells that a foot has landed.
 
     python docs/examples/contact_detection.py
+
+By the physics' own contact forces, beside the foot switch and beside what statics alone would tell.
 """
 
 from __future__ import annotations
