@@ -53,9 +53,25 @@ def sentences(result: Mapping[str, Any], quantity: Quantity) -> list[str]:
         lines.append(f"            {result['unstable_at_start']} of them unstable from the start")
     if result.get("predicted") is not None:
         lines.append(f"predicted   {shown(result['predicted'])}, of the linear loop")
+    elif "predicted" in result:
+        lines.append(f"predicted   none: the linear loop is {_unpredicted(result['linear'], quantity)}")
+    if result.get("doubt") is not None:
+        lines.append(f"            {result['doubt']}")
     if result.get("parting") is not None:
         lines.append(f"            {result['parting']}")
     return lines
+
+
+def _unpredicted(linear: Mapping[str, Any], quantity: Quantity) -> str:
+    """Why a search of the linear loop's boundary found none."""
+    if linear["mode"] is not None:
+        return "unstable from the start"
+    return f"stable up to {quantity.shown(linear['furthest'])}, {search_end(linear)}"
+
+
+def search_end(linear: Mapping[str, Any]) -> str:
+    """Why a prediction that found no boundary looked no further."""
+    return "where the search ended" if linear["refused"] is None else f"no further looked at: {linear['refused']}"
 
 
 def _of_seed(seed: Mapping[str, Any], quantity: Quantity) -> str:
