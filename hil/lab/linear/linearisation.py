@@ -77,8 +77,8 @@ class Linearisation:
 
     @classmethod
     def cleanest(cls, section: Section, delay: float) -> Linearisation:
-        """``of`` displacements of that one of ``SCALES`` which leaves least noise: the first that leaves little, or, where
-        it is bearable, the last before it grows again."""
+        """``of`` displacements of that one of ``SCALES`` which leaves least noise: the first that leaves little or,
+        where it is bearable, the last before it grows again."""
         best = cls.of(section, delay, SCALES[0])
         for scale in SCALES[1:]:
             if best.noise < _CLEAN:
