@@ -19,7 +19,7 @@ h1{font-size:1.5rem}h2{font-size:1.1rem;margin:2rem 0 0}img,video{width:100%;hei
 .stable{background:#e3f4e4;border-left:.5rem solid #2e8b3a}
 .unstable,.failed{background:#fbe5e3;border-left:.5rem solid #c0392b}
 table{border-collapse:separate;border-spacing:0;margin-top:.5rem}
-td,th{padding:.2rem .8rem;text-align:left;border-bottom:1px solid #ddd}
+td,th{padding:.2rem .8rem;text-align:left;vertical-align:top;border-bottom:1px solid #ddd}
 td.n{text-align:right;font-variant-numeric:tabular-nums}
 tr.beyond td,td.beyond{color:#c0392b;font-weight:600}
 .wide{overflow-x:auto}.wide td{white-space:nowrap}
