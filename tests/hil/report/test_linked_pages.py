@@ -62,8 +62,8 @@ def margin(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A margin with both sides of its boundary kept: a jump of the delay that the watchdog bears or not."""
     out = tmp_path_factory.mktemp("margin") / "m"
     assert main([
-        "margin", "stand", "--of", "link.command.delay", "--range", "0ms..16ms", "--resolution", "8ms", "--at", f"{AT}s",
-        "--seeds", "1", *SETTINGS, "--out", str(out), "--video" if RENDERS else "--keep",
+        "margin", "stand", "--of", "link.command.delay", "--range", "0ms..16ms", "--resolution", "8ms",
+        "--at", f"{AT}s", "--seeds", "1", *SETTINGS, "--out", str(out), "--video" if RENDERS else "--keep",
     ]) == 0  # fmt: skip
     return out
 
