@@ -116,22 +116,24 @@ def _answer(point: OperatingPoint, values: dict[Quantity, Value], follow: Follow
 
 
 def oscillation(loop: Linearisation) -> Row:
-    """Of the least damped oscillation: damping (ratio), frequency [Hz], growth [1/s], mode: what takes part."""
+    """Of the least damped oscillation: damping (ratio), frequency [Hz], growth [1/s], mode: what takes part. doubt: why
+    it is not to be trusted, or None."""
     waves = [m for m in loop.modes if _SLOWEST < m.frequency < _FASTEST]
     mode = min(waves, key=lambda m: m.damping)
     return {
-        "refused": None, "damping": mode.damping, "frequency": mode.frequency, "growth": mode.growth,
-        "mode": mode.told(3),
+        "refused": None, "doubt": loop.doubt(), "damping": mode.damping, "frequency": mode.frequency,
+        "growth": mode.growth, "mode": mode.told(3),
     }  # fmt: skip
 
 
 def boundary(point: OperatingPoint, follow: Follow) -> Row:
     """value: where the loop becomes unstable; None if it is stable up to the end (``unstable_at_start`` false), or not
-    even stable at the start. frequency [Hz], mode: of what grows there."""
+    even stable at the start. frequency [Hz], mode: of what grows there. doubt: why it is not to be trusted, or None."""
     search = Search(point.scenario, follow.quantity, point.at, follow.near, follow.far, follow.resolution)
     found = predict(point, search)
     return {
-        "refused": None, "value": found.value, "unstable_at_start": found.value is None and found.mode is not None,
+        "refused": None, "doubt": found.doubt, "value": found.value,
+        "unstable_at_start": found.value is None and found.mode is not None,
         "frequency": None if found.mode is None else found.mode.frequency,
         "mode": None if found.mode is None else found.mode.told(3),
     }  # fmt: skip
