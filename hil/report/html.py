@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import html
 import os
+from collections.abc import Iterable
 from pathlib import Path
 from typing import NamedTuple
 
 BEYOND = ' class="beyond"'  # of a row or cell whose value is beyond its limit
+_NAME = 12  # characters before the text of a line of a command
 VIDEO_FILE = "video.mp4"  # in a run's directory
 
 _STYLE = """
@@ -65,6 +67,14 @@ def picture(title: str, caption: str, png: str) -> str:
 def verdict(kind: str, sentence: str, said: str | None = None) -> str:
     """The coloured line at the top: ``kind`` is stable, unstable or failed; ``said``: what is written instead of it."""
     return f'<p class="verdict {kind}"><b>{html.escape(said or kind)}</b>: {html.escape(sentence)}</p>'
+
+
+def told(lines: Iterable[str]) -> str:
+    """What a command says, a table: of each line a name in twelve columns, and its text."""
+    rows = (
+        f"<tr><td>{html.escape(line[:_NAME].strip())}</td><td>{html.escape(line[_NAME:])}</td></tr>" for line in lines
+    )
+    return f"<table>{''.join(rows)}</table>"
 
 
 def folded(summary: str, text: str) -> str:

@@ -16,7 +16,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from hil.lab.quantity import Quantity
-from hil.report.html import document, folded, picture, verdict
+from hil.report.html import document, folded, picture, told, verdict
 from hil.report.margin_page import display_unit, search_end
 from hil.report.plots import encoded
 
@@ -147,16 +147,15 @@ def write_linear(directory: Path, record: Mapping[str, Any], quantity: Quantity 
         pictures += picture(f"Along {quantity.key}", caption, encoded(figure))
     rows = "".join(
         f"<tr><td class=n>{mode['growth']:.2f}</td><td class=n>{mode['frequency']:.2f}</td>"
-        f"<td class=n>{mode['damping']:.3f}</td><td>"
+        f"<td class=n>{mode['damping']:.3f}</td><td class=text>"
         + html.escape(", ".join(f"{n} {100 * s:.0f} %" for n, s in list(mode["participation"].items())[:5]))
         + "</td></tr>"
         for mode in record["modes"][:_ROWS]
     )
     stable = record["growth"] < 0.0
-    found = html.escape("\n".join(sentences(record, quantity)))
     body = f"""{verdict("stable" if stable else "unstable", "the linear loop at " + f"{record['at']:g} s")}
 <p>{html.escape(record["scenario"])} without dry friction, noise and rounding.</p>
-<pre>{found}</pre>
+{told(sentences(record, quantity))}
 {pictures}
 <h2>Modes</h2>
 <div class=wide><table><tr><th>growth [1/s]<th>frequency [Hz]<th>damping ratio<th>takes part</tr>{rows}</table></div>

@@ -16,11 +16,9 @@ import matplotlib.pyplot as plt
 from hil.lab.kept import STABLE, UNSTABLE, section
 from hil.lab.margin import boundary_pair
 from hil.lab.quantity import Quantity
-from hil.report.html import document, folded, picture
+from hil.report.html import document, folded, picture, told
 from hil.report.plots import encoded
 from hil.scenario import to_toml
-
-_NAME = 12  # characters before the text of a line
 
 
 def sentences(result: Mapping[str, Any], quantity: Quantity) -> list[str]:
@@ -129,12 +127,8 @@ def write_margin(directory: Path, result: Mapping[str, Any], quantity: Quantity)
         f"<td>{'stable' if run['stable'] else 'unstable'}</td><td class=text>{html.escape(run['reason'])}</td></tr>"
         for seed in result["per_seed"] for run in sorted(seed["tried"], key=lambda run: run["value"])
     )  # fmt: skip
-    found = "".join(
-        f"<tr><td>{html.escape(line[:_NAME].strip())}</td><td>{html.escape(line[_NAME:])}</td></tr>"
-        for line in sentences(result, quantity)
-    )
     pair = boundary_pair(result, quantity)
-    told = (
+    sides = (
         {}
         if pair is None
         else {
@@ -144,8 +138,8 @@ def write_margin(directory: Path, result: Mapping[str, Any], quantity: Quantity)
     )
     numbers = {name: value for name, value in result.items() if name != "configuration"}
     body = f"""<p>{html.escape(result["scenario"])}{when}; nominal {quantity.shown(quantity.nominal)}</p>
-<table>{found}</table>
-{section(directory, told)}
+{told(sentences(result, quantity))}
+{section(directory, sides)}
 {picture("Every run", "Bisection: each seed is tried where its own boundary was not yet known.", encoded(figure))}
 <div class=wide><table><tr><th>seed<th>{html.escape(quantity.key)}<th>verdict<th>reason</tr>{rows}</table></div>
 {folded("Exact configuration, a scenario file", to_toml(result["configuration"]))}

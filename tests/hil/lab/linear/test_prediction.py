@@ -166,7 +166,7 @@ def test_the_command(capsys, tmp_path):
     assert "controller's internal force" in list(prediction["mode"]["participation"])[:2]
     assert json.loads((tmp_path / "linearise.json").read_text(encoding="utf-8")) == record
     page = (tmp_path / "linearise.html").read_text(encoding="utf-8")
-    assert "predicted   link.command.delay" in page and page.count("data:image/png") == 2
+    assert "there the loop becomes unstable" in page and page.count("data:image/png") == 2
     assert all((tmp_path / name).stat().st_size > 10_000 for name in ("eigenvalues.png", "path.png"))
 
 
