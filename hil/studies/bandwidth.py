@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -102,10 +103,10 @@ def torque_bandwidths(scenario: Scenario, factors: Sequence[float], key: str = T
 
 def limits(answers: Answers) -> np.ndarray:
     """Largest stable value of a predicted part: infinite where none was found, 0 where the start was not stable; NaN
-    where the robot does not stand."""
+    where the robot does not stand or the linear loop is not to be trusted."""
     rows = answers.rows
     return np.array([
-        math.nan if row["refused"] else row["value"] if row["value"] is not None
+        math.nan if row["refused"] or row.get("doubt") else row["value"] if row["value"] is not None
         else 0.0 if row["unstable_at_start"] else math.inf
         for row in rows
     ])  # fmt: skip
@@ -146,7 +147,7 @@ def trade(bandwidths: np.ndarray, reached: np.ndarray) -> tuple[Verdict, str]:
 
 def _shown(limit: float, far: str = "beyond the search") -> str:
     if math.isnan(limit):
-        return "does not stand"
+        return "–"
     return far if math.isinf(limit) else "none" if limit == 0.0 else f"×{limit:.2f}"
 
 
@@ -204,8 +205,14 @@ def _all_gains(found: Mapping[str, Answers]) -> tuple[Table, ...]:
     return (Table("The same, when the damping of the motor is scaled with the feedback of the torque", head, rows),)
 
 
+def _damped(row: Mapping[str, Any]) -> str:
+    return f"{row['damping']:.3f}{'' if row.get('doubt') is None else ' (not to be trusted)'}"
+
+
 def _by(row: Mapping[str, object]) -> str:
-    if row["refused"] or row.get("mode") is None:
+    if row["refused"] or row.get("doubt"):
+        return str(row["refused"] or row.get("doubt"))
+    if row.get("mode") is None:
         return "–"
     return f"{row['frequency']:.1f} Hz: {row['mode']}"
 
@@ -309,7 +316,7 @@ def _latency(found: Mapping[str, Answers]) -> Findings:
     damping = answers.grid("damping")
     ends = [zero_crossing(delays, column) for column in damping.T]
     rows = tuple(
-        (f"×{gain:g}", *(f"{value:.3f}" for value in damping[:, m]),
+        (f"×{gain:g}", *(_damped(answers.rows[n * len(gains) + m]) for n in range(len(delays))),
          f"beyond {delays[-1]:g} ms" if math.isinf(ends[m]) else f"{ends[m]:.1f} ms",
          *(_by(answers.rows[n * len(gains) + m]) for n in (0, len(delays) - 1)))
         for m, gain in enumerate(gains)
