@@ -72,8 +72,8 @@ class StepConfig(Config):
     goal_velocity_x: MetresPerSecond = 0.0  # of the planner's goal, which begins to move with the first step
     goal_velocity_y: MetresPerSecond = 0.0
     lean: Gain = 0.8  # m/s² with which the centre of mass is set in motion before the first step; 0: not at all
-    # Yaw is turned back by a couple of horizontal forces at the feet, which friction bounds: 0.1 rad times kp of 100 asks
-    # of Hume, 0.3 kg m² about the vertical, 3 N m: 20 N at feet 15 cm apart, a third of what half its weight can hold.
+    # Yaw is turned back by a couple of horizontal forces at the feet, which friction bounds: 0.1 rad times kp of 100
+    # asks of Hume, 0.3 kg m² about the vertical, 3 N m: 20 N at feet 15 cm apart, a third of what half its weight can.
     yaw_error_limit: Annotated[Radians, Field(gt=0)] = 0.1
     timing: StepTiming = StepTiming()
     gains: SteppingGains = SteppingGains()

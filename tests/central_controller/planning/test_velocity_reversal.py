@@ -50,7 +50,8 @@ def test_in_the_plane_only_x_is_planned_with_the_slider_s_mass(state: PendulumSt
     """Kim 2018 (7.5): on a level surface the slider makes gravity smaller by r, for x."""
     ratio, stance, goal = 0.82, Foot(0.02, -0.14), (0.1, 3.0)
     config = PlannerConfig.model_validate({**FREE, "lateral": False})
-    plan = VelocityReversalPlanner(config, Pendulum(Plane(HEIGHT), mass_ratio=ratio)).plan(state, stance, LEFT, 0.2, goal)
+    pendulum = Pendulum(Plane(HEIGHT), mass_ratio=ratio)
+    plan = VelocityReversalPlanner(config, pendulum).plan(state, stance, LEFT, 0.2, goal)
     switching = on_level(state, stance, HEIGHT, 0.2, ratio * 9.81)
     omega = math.sqrt(ratio * 9.81 / HEIGHT)
     place = (1 + config.kappa_x) * switching.x - config.kappa_x * goal[0]
