@@ -10,6 +10,7 @@ from central_controller.planning.config import OpenLoopConfig
 from central_controller.stepping_config import StepConfig
 from central_controller.task_gains import TaskGains
 from robots.quantities import Config, Gain, Hertz, Metres, Newtons, Probability, Seconds
+from robots.terrain import Block
 
 
 class TaskSetConfig(Config):
@@ -76,5 +77,6 @@ class ControllerConfig(Config):
     tasks: TaskSetConfig = TaskSetConfig()
     internal_force: InternalForceConfig = InternalForceConfig()
     path: PathConfig = PathConfig()
+    blocks: tuple[Block, ...] | None = None  # that it believes to be on the ground; not given: those of the terrain
     open_loop: OpenLoopConfig = OpenLoopConfig()
     stepping: StepConfig = StepConfig()

@@ -13,6 +13,7 @@ from pydantic import Field, ValidationError
 
 from bus.config import BusConfig, LinkConfig
 from central_controller.config import ControllerConfig
+from central_controller.planning.height_surface import over_blocks
 from hil import schema
 from hil.analysis.verdict import VerdictConfig
 from hil.calibration import file as calibration
@@ -120,11 +121,20 @@ def complete(data: dict[str, Any], source: str) -> Scenario:
 
     Raises UserError with the key's path and what would be right.
     """
-    scenario = validate(data, source)
+    scenario = _with_believed_ground(validate(data, source))
     _check_consistency(scenario, source)
     robot = description.load(scenario.robot)
     buses = {bus.name: scenario.bus.get(bus.name, BusConfig()) for bus in robot.buses}
     return scenario.model_copy(update={"bus": buses})
+
+
+def _with_believed_ground(scenario: Scenario) -> Scenario:
+    """A controller that is told of no blocks knows those of the terrain."""
+    controller = scenario.controller
+    if controller.blocks is not None:
+        return scenario
+    controller = controller.model_copy(update={"blocks": scenario.terrain.blocks})
+    return scenario.model_copy(update={"controller": controller})
 
 
 def from_record(configuration: dict[str, Any], source: str) -> Scenario:
@@ -234,6 +244,15 @@ def _inconsistencies(scenario: Scenario) -> Iterator[str]:
             description.load(scenario.robot, variant)
         except description.UnknownRobotError as error:
             yield f"{key}.variant = {variant!r}: {error}"
+    ramp = scenario.controller.stepping.planner.ramp
+    try:
+        over_blocks(1.0, scenario.controller.blocks or (), ramp)
+    except ValueError:
+        if scenario.controller.behaviour == "step":
+            yield (
+                f"controller.stepping.planner.ramp = {ramp:g} m is too long: "
+                "each block, and each gap between two of them, must be longer"
+            )
     names = [bus.name for bus in robot.buses]
     for name in scenario.bus:
         if name not in names:

@@ -29,7 +29,7 @@ class OpenLoop:
     def __init__(self, workspace: Workspace, compile: Compile) -> None:
         config = workspace.config
         self._space, self._config = workspace, config
-        self._plan = motion = plan(workspace.robot, config.open_loop, config.rate)
+        self._plan = motion = plan(workspace.robot, config.open_loop, config.rate, config.blocks or ())
         self._joints = n = len(workspace.robot.joints)
         self._swings = [
             (math.floor(swing.lift_off * config.rate), math.ceil(swing.landing * config.rate), swing.foot)

@@ -17,13 +17,14 @@ from bus.messages import GainSet, Mode
 from central_controller.behaviours.behaviour import Compile, Phase, Setpoints, Workspace, ramp
 from central_controller.binding import Bound
 from central_controller.estimation.pendulum_observer import PendulumObserver
-from central_controller.planning.height_surface import Plane
+from central_controller.planning.height_surface import over_blocks
 from central_controller.planning.pendulum import Foot, Pendulum, PendulumState
-from central_controller.planning.reach import LEFT, RIGHT
+from central_controller.planning.reach import LEFT, RIGHT, clear_of_edges
 from central_controller.planning.swing import SwingTrajectory
 from central_controller.planning.velocity_reversal import Plan, VelocityReversalPlanner
 from central_controller.stepping_law import COORDINATES, OBSERVED, observed, stepping
 from robots.description import Robot
+from robots.terrain import ground_height
 
 _SIDES = (RIGHT, LEFT)  # of the feet, in the robot's order
 _SAGITTAL = 0.999  # of a joint's axis along y: from here on it turns in the sagittal plane
@@ -105,7 +106,9 @@ class Step:
         self._state, self._since = State.WAITING, 0.0
         self._stance: int | None = None  # foot that carries alone; None: both
         self._swing: int = self._stepping.first
-        self._height = self._ground = 0.0  # of the centre of mass, and under the feet
+        self._blocks = config.blocks or ()
+        self._height = self._ground = 0.0  # of the centre of mass and of the ground where it stood first
+        self._levels = [0.0] * len(_SIDES)  # of the ground under each foot, or where it stood last
         self._middle = (0.0, 0.0)  # where stepping began
         self._stood = [(0.0, 0.0)] * len(_SIDES)  # of the feet, from the centre of mass, before the first step
         self._landed_force = np.zeros(3)  # of the foot that lifts or lands, in double support
@@ -116,6 +119,7 @@ class Step:
         self._swing_path = SwingTrajectory(self._stepping.swing)
         self._observer: PendulumObserver | None = None
         self._planner: VelocityReversalPlanner | None = None
+        self._pendulum: Pendulum | None = None
 
     @staticmethod
     def fields(robot: Robot) -> list[str]:
@@ -162,10 +166,12 @@ class Step:
         self._height = float(seen[_COM][2])
         self._ground = float(seen[_FEET][2] + seen[_FEET][5]) / 2
         self._middle = (float(seen[_COM][0]), float(seen[_COM][1]))
+        self._levels = [self._ground] * len(_SIDES)
         gravity = space.robot.gravity
-        surface = Plane(self._height)
+        surface = over_blocks(self._height, self._blocks, self._stepping.planner.ramp)
         ratio = space.robot.mass / (space.robot.mass + self._stepping.slider_mass)
-        self._planner = VelocityReversalPlanner(self._stepping.planner, Pendulum(surface, gravity, ratio))
+        self._pendulum = Pendulum(surface, gravity, ratio)
+        self._planner = VelocityReversalPlanner(self._stepping.planner, self._pendulum)
         self._observer = PendulumObserver(self._height, self._config.rate, self._stepping.observer, ratio * gravity)
         self._observer.reset(*self._middle, 0.0, 0.0)
         if self._stepping.hold_abduction:
@@ -198,16 +204,17 @@ class Step:
         elif state is State.UNLOADING:
             if elapsed >= timing.transition:
                 self._push[:] = 0.0
-                self._swing_path.lift(now, self._foot(self._swing), timing.lifting)
+                self._swing_path.lift(now, self._foot(self._swing), timing.lifting, self._step_up(now))
                 self._set_gains(self._swing, GainSet.SWING)
                 self._planned = None
                 self._enter(State.LIFTING, now)
         elif state is State.LIFTING:
             if self._planned is None and elapsed >= self._stepping.planner.replan_at * timing.lifting:
-                self._plan(now, timing.lifting - elapsed + timing.landing)
+                self._planned = self._plan(now, timing.lifting - elapsed + timing.landing)
             if elapsed >= timing.lifting:
-                self._landing = timing.landing + (self._planned.extension if self._planned else 0.0)
-                self._swing_path.land(now, self._target(), self._landing)
+                assert self._planned is not None
+                self._landing = timing.landing + self._planned.extension
+                self._swing_path.land(now, self._planned.foot, self._landing)
                 self._enter(State.LANDING, now)
         elif state is State.LANDING:
             landed = self._space.contacts[self._swing] and elapsed >= _LANDED_AFTER * self._landing
@@ -233,6 +240,7 @@ class Step:
         """The foot has met the ground: what it would press with in double support grows from nothing."""
         stance = self._stance
         self._steps += 1
+        self._levels[self._swing] = self._level(float(self._seen[_FEET][3 * self._swing + 2]))
         self._stand_on(None)
         self._reference_of_body(now)
         self._laws[None]()
@@ -246,7 +254,8 @@ class Step:
         """The feet that the robot's place is known by: one, or both."""
         feet = self._seen[_FEET]
         self._anchor[:] = (feet[:3] + feet[3:]) / 2 if stance is None else feet[3 * stance : 3 * stance + 3]
-        self._anchor[2] = self._ground  # or the errors of all steps would add up
+        # or the errors of all steps would add up
+        self._anchor[2] = sum(self._levels) / len(self._levels) if stance is None else self._levels[stance]
         self._stance = stance
         self._gains[:] = self._gains_of[stance is not None]
         if self._steps:  # falling freely: 1 N sideways at this height takes 5 N from a foot that carries little yet
@@ -284,7 +293,7 @@ class Step:
     def _reference_of_body(self, now: float) -> None:
         reference = self._reference
         reference[:, :_FOOT] = 0.0
-        reference[0, _COM_Z] = self._height
+        self._refer_to_surface()
         yaw, limit = float(self._seen[_RPY][2]), self._stepping.yaw_error_limit
         reference[0, _YAW] = yaw - min(limit, max(-limit, yaw))
         t = now - self._since
@@ -295,6 +304,18 @@ class Step:
             reference[0, _COM_Y] = self._middle[1]
         else:  # it goes as it goes
             reference[0, _COM_Y], reference[1, _COM_Y] = self._seen[_COM][1], self._seen[_COM_VELOCITY][1]
+
+    def _refer_to_surface(self) -> None:
+        """Hold the centre of mass on the planner's surface as it falls along in x: z'' = z_x x'' + z_xx x'²."""
+        reference, observer = self._reference, self._observer
+        if not self._blocks or observer is None:
+            reference[0, _COM_Z] = self._height
+            return
+        assert self._pendulum is not None
+        z, zx, _, zxx, _, _ = self._pendulum.surface(observer.x, observer.y)
+        foot = self._foot(1 - self._swing)
+        ax, _ = self._pendulum.acceleration(PendulumState(observer.x, foot.y, observer.vx, 0.0), foot)
+        reference[:, _COM_Z] = z, zx * observer.vx, zx * ax + zxx * observer.vx**2
 
     def _hold_foot(self) -> None:
         """The swing foot shall stay where it is."""
@@ -310,7 +331,8 @@ class Step:
 
     # --- planning ---------------------------------------------------------------------------------------------
 
-    def _plan(self, now: float, to_touchdown: float) -> None:
+    def _plan(self, now: float, to_touchdown: float) -> Plan:
+        """Where the swing foot shall land, ``to_touchdown`` [s] from ``now``."""
         assert self._planner is not None and self._observer is not None and self._stance is not None
         timing, observer = self._stepping.timing, self._observer
         # the weight goes over little by little: in the mean in the middle of it
@@ -319,15 +341,29 @@ class Step:
         if self._stepping.placement == "fixed":
             com, (dx, dy) = self._seen[_COM], self._stood[self._swing]
             foot = Foot(float(com[0]) + dx, float(com[1]) + dy, self._ground)
-            self._planned = Plan(foot, foot[:2], False, state, to_switch, 0.0, 0, True)
-            return
-        stance = self._foot(self._stance)
-        self._planned = self._planner.plan(
-            state, stance, _SIDES[self._swing], to_switch, self._goal(now + to_switch), self._ground
-        )
-        if not self._stepping.planner.lateral:
-            beside = self._planned.foot._replace(y=float(self._seen[_FEET][3 * self._swing + 1]))
-            self._planned = self._planned._replace(foot=beside)
+            return Plan(foot, foot[:2], False, state, to_switch, 0.0, 0, True)
+        side, config, place = _SIDES[self._swing], self._stepping.planner, self._foot(self._swing)
+        stance, goal, ground = self._foot(self._stance), self._goal(now + to_switch), self._levels[self._stance]
+        for _ in range(2):  # once more where the ground is not as high as under the stance foot
+            plan = self._planner.plan(state, stance, side, to_switch, goal, ground)
+            x = clear_of_edges(self._blocks, plan.foot.x, config.edge_clearance)
+            believed, ground = ground, self._ground + ground_height(self._blocks, x)
+            if ground == believed:
+                break
+        return plan._replace(foot=Foot(x, plan.foot.y if config.lateral else place.y, ground))
+
+    def _step_up(self, now: float) -> float:
+        """How much higher the swing foot will land than it stood, as far as can be told when it lifts [m]."""
+        if not self._blocks:
+            return 0.0
+        timing = self._stepping.timing
+        there = self._plan(now, timing.lifting + timing.landing).foot.z
+        return max(0.0, there - self._levels[self._swing])
+
+    def _level(self, height: float) -> float:
+        """The known height of the ground next to ``height``: a foot may have missed an edge."""
+        levels = [self._ground, *(self._ground + block.height for block in self._blocks)]
+        return min(levels, key=lambda level: abs(level - height))
 
     def _goal(self, time: float) -> tuple[float, float]:
         """x, y [m] that the planner is pulled to, at ``time``."""
@@ -339,11 +375,6 @@ class Step:
         """Of a foot, from the centre of mass."""
         com, place = self._seen[_COM], self._seen[_FEET][3 * foot : 3 * foot + 2]
         return float(place[0] - com[0]), float(place[1] - com[1])
-
-    def _target(self) -> Foot:
-        """Where the swing foot shall land."""
-        assert self._planned is not None
-        return self._planned.foot
 
     def _follow(self) -> None:
         """The pendulum observer's share of this tick."""
@@ -403,14 +434,15 @@ class Step:
         "_held", "_landed_force",
     )  # fmt: skip
     _PLAIN = (
-        "_running", "_state", "_since", "_stance", "_swing", "_height", "_ground", "_middle", "_stood", "_planned", "_landing",
-        "_steps", "_lean", "_planner",
+        "_running", "_state", "_since", "_stance", "_swing", "_height", "_ground", "_middle", "_stood", "_planned",
+        "_landing", "_steps", "_lean", "_planner", "_pendulum",
     )  # fmt: skip
 
     def snapshot(self) -> Any:
         return {
             **{name: getattr(self, name).copy() for name in self._ARRAYS},
             **{name: getattr(self, name) for name in self._PLAIN},
+            "levels": list(self._levels),
             "gain_sets": list(self.setpoints.gain_sets),
             "modes": list(self.setpoints.modes),
             "positions": self.setpoints.positions,
@@ -426,6 +458,7 @@ class Step:
         self.setpoints.gain_sets[:] = state["gain_sets"]
         self.setpoints.modes[:] = state["modes"]
         self.setpoints.positions = state["positions"]
+        self._levels[:] = state["levels"]
         self._swing_path.restore(state["swing_path"])
         self._observer = None
         if state["observer"] is not None:

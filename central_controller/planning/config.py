@@ -7,7 +7,6 @@ from typing import Annotated, Self
 from pydantic import Field, model_validator
 
 from robots.quantities import Config, Gain, Kilograms, Metres, MetresPerSecond, Probability, Seconds
-from robots.terrain import Block
 
 Positive = Field(gt=0)
 NotNegative = Field(ge=0)
@@ -71,12 +70,15 @@ class PlannerConfig(Config):
     integration_step: Annotated[Seconds, Positive] = 0.01
     reach: ReachConfig = ReachConfig()
     extension: ExtensionConfig = ExtensionConfig()
+    ramp: Annotated[Metres, Positive] = 0.3  # length over which the centre of mass rises or falls about a block's edge
+    edge_clearance: Metres = 0.04  # of a planned foot from a block's edge
 
 
 class SwingConfig(Config):
     """The swing foot's way."""
 
-    height: Annotated[Metres, Positive] = 0.05  # of the lift
+    height: Annotated[Metres, Positive] = 0.05  # of the lift, above the higher of the grounds that it joins
+    level: Annotated[float, Field(ge=0, lt=1)] = 0.0  # share of the landing before it goes down: over an edge
     touchdown_speed: Annotated[MetresPerSecond, NotNegative] = 0.10  # downwards, when the ground is expected
     search_depth: Annotated[Metres, NotNegative] = 0.05  # how far below that a late ground is looked for
 
@@ -105,4 +107,3 @@ class OpenLoopConfig(Config):
     slider_mass: Kilograms = 5.0  # m_s of (7.5)
     wait: Seconds = 0.2  # for a foot that should have landed
     feed_forward: Probability = 1.0  # share of the planned torques that the drives are told beside the positions
-    blocks: tuple[Block, ...] = ()  # of the terrain, as far as the planner knows

@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_right
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+
+from robots.terrain import Block
 
 # z [m], z_x, z_y, z_xx, z_xy, z_yy [1/m]
 Height = tuple[float, float, float, float, float, float]
@@ -73,6 +75,17 @@ def platform(height: float, rise: float, start: float, end: float, ramp: float) 
     """
     low, high = height, height + rise
     return CosineProfile([(start - ramp, low), (start, high), (end, high), (end + ramp, low)])
+
+
+def over_blocks(height: float, blocks: Iterable[Block], ramp: float) -> HeightSurface:
+    """The level ``height`` [m], raised over each block by the block's; half of each ``ramp`` [m] lies on the block.
+
+    Raises ValueError when blocks are shorter or closer than a ramp.
+    """
+    places: list[tuple[float, float]] = []
+    for block in sorted(blocks, key=lambda block: block.start):
+        places += platform(height, block.height, block.start + ramp / 2, block.end - ramp / 2, ramp).places
+    return CosineProfile(places) if places else Plane(height)
 
 
 def vault(x_i: float, z_i: float, h_o: float, x_f: float, z_f: float) -> CosineProfile:

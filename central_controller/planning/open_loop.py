@@ -10,6 +10,7 @@ legs' inverse kinematics give the joint angles.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -21,7 +22,7 @@ from central_controller.planning.height_surface import CosineProfile
 from central_controller.planning.pendulum import Foot, Pendulum, PendulumState
 from central_controller.planning.planar import PlanarBiped
 from robots.description import Robot
-from robots.terrain import ground_height
+from robots.terrain import Block, ground_height
 
 RIGHT_FOOT, LEFT_FOOT = 0, 1  # indices among the robot's feet
 _GRID = 0.004  # s, of the inverse kinematics
@@ -52,14 +53,14 @@ class Motion(NamedTuple):
     swings: list[Swing]
 
 
-def plan(robot: Robot, config: OpenLoopConfig, rate: float) -> Motion:
-    """Plan the whole motion, sampled at ``rate`` [Hz].
+def plan(robot: Robot, config: OpenLoopConfig, rate: float, blocks: Sequence[Block] = ()) -> Motion:
+    """Plan the whole motion over ``blocks``, sampled at ``rate`` [Hz].
 
     Raises ValueError, in one sentence, when the robot cannot do it: a foot out of reach of its hip, or, on both feet,
     a centre of pressure that is not between them.
     """
-    times, x, swings = _along(robot, config)
-    height = _surface(config)
+    times, x, swings = _along(robot, config, blocks)
+    height = _surface(config, blocks)
     fine = np.arange(0.0, times[-1] + 0.5, _GRID)
     spline = CubicSpline(*_distinct(times, x), bc_type="clamped")
     inside = np.minimum(fine, times[-1])
@@ -70,7 +71,7 @@ def plan(robot: Robot, config: OpenLoopConfig, rate: float) -> Motion:
     z = heights[:, 0]
     dz = heights[:, 1] * speed
     ddz = heights[:, 3] * speed**2 + heights[:, 1] * acceleration
-    feet = np.array([_feet(config, swings, time) for time in fine.tolist()])
+    feet = np.array([_feet(config, blocks, swings, time) for time in fine.tolist()])
     ratio = robot.mass / (robot.mass + config.slider_mass)
     vertical = robot.mass * (robot.gravity + ddz)
     horizontal = robot.mass / ratio * acceleration
@@ -93,15 +94,15 @@ def plan(robot: Robot, config: OpenLoopConfig, rate: float) -> Motion:
     )  # fmt: skip
 
 
-def footholds(config: OpenLoopConfig) -> list[tuple[float, float]]:
+def footholds(config: OpenLoopConfig, blocks: Sequence[Block] = ()) -> list[tuple[float, float]]:
     """(x, z) [m] of the feet's centres in the order in which they come to stand: left, right, then the steps."""
     places = [(n - 0.5) * config.step_length for n in range(config.steps + 2)]
-    return [(x, ground_height(config.blocks, x)) for x in places]
+    return [(x, ground_height(blocks, x)) for x in places]
 
 
-def _surface(config: OpenLoopConfig) -> CosineProfile:
+def _surface(config: OpenLoopConfig, blocks: Sequence[Block]) -> CosineProfile:
     """The centre of mass's height over x: half a block's height more above a foot on it."""
-    feet = footholds(config)
+    feet = footholds(config, blocks)
     base, first = config.com_height, feet[1][0] - config.lift_off
     places = [(first, base)]
     for n in range(1, config.steps + 1):
@@ -147,10 +148,10 @@ class _PhasePath:
         return np.interp(x, self._x, self._v)
 
 
-def _along(robot: Robot, config: OpenLoopConfig) -> tuple[np.ndarray, np.ndarray, list[Swing]]:
+def _along(robot: Robot, config: OpenLoopConfig, blocks: Sequence[Block]) -> tuple[np.ndarray, np.ndarray, list[Swing]]:
     """The centre of mass's x over time, and when which foot swings."""
-    feet = footholds(config)
-    pendulum = Pendulum(_surface(config), robot.gravity, robot.mass / (robot.mass + config.slider_mass))
+    feet = footholds(config, blocks)
+    pendulum = Pendulum(_surface(config, blocks), robot.gravity, robot.mass / (robot.mass + config.slider_mass))
     paths = [_PhasePath(pendulum, Foot(x, 0.0, z), config.apex_speed, config.step_length) for x, z in feet[1:-1]]
     first = feet[1][0] - config.lift_off
     paths[0].boosted(first, config.boost_speed, config.boost_length)
@@ -231,7 +232,9 @@ def _smooth(s: float) -> float:
     return s**3 * (10.0 - 15.0 * s + 6.0 * s * s)
 
 
-def _feet(config: OpenLoopConfig, swings: list[Swing], time: float) -> list[tuple[float, float]]:
+def _feet(
+    config: OpenLoopConfig, blocks: Sequence[Block], swings: list[Swing], time: float
+) -> list[tuple[float, float]]:
     """Where the feet are planned to be: up, over, down."""
     feet = [(0.5 * config.step_length, 0.0), (-0.5 * config.step_length, 0.0)]
     for swing in swings:
@@ -240,7 +243,7 @@ def _feet(config: OpenLoopConfig, swings: list[Swing], time: float) -> list[tupl
         elif time > swing.lift_off:
             s = (time - swing.lift_off) / (swing.landing - swing.lift_off)
             (x0, z0), (x1, z1) = swing.start, swing.end
-            top = max(ground_height(config.blocks, x) for x in _between(x0, x1)) + config.clearance
+            top = max(ground_height(blocks, x) for x in _between(x0, x1)) + config.clearance
             z = z0 + (top - z0) * _smooth(s / 0.5) if s < 0.5 else top + (z1 - top) * _smooth((s - 0.5) / 0.5)
             feet[swing.foot] = x0 + (x1 - x0) * _smooth((s - 0.08) / 0.84), z
     return feet

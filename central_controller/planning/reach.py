@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterable
+
 from central_controller.planning.config import ReachConfig
 from central_controller.planning.pendulum import Foot
+from robots.terrain import Block
 
 RIGHT, LEFT = -1, 1  # sides, as the sign of y
 
@@ -24,6 +28,15 @@ def nearest_reachable(
     base = side * stance.y
     out = _clamp(out, base + config.lateral_min, base + config.lateral_max)
     return x, side * out
+
+
+def clear_of_edges(blocks: Iterable[Block], x: float, clearance: float) -> float:
+    """The place next to ``x`` that is ``clearance`` away from each block's edges, on the side on which ``x`` is [m]."""
+    for block in blocks:
+        for edge in (block.start, block.end):
+            if abs(x - edge) < clearance:
+                return edge + math.copysign(clearance, x - edge)
+    return x
 
 
 def _clamp(value: float, low: float, high: float) -> float:

@@ -95,6 +95,29 @@ def test_the_planned_foot_is_beside_the_stance_foot(forward: Any) -> None:
     assert planned[~swings_right] == pytest.approx(0.14, abs=0.03)
 
 
+LOW = "terrain.blocks=[{start='40cm', end='80cm', height='7cm'}]"  # shorter than the scenario's: down again in 7 s
+
+
+def test_it_climbs_a_platform_and_comes_down_again() -> None:
+    """Kim 2018 §4.3.1, Fig. 4.14, by the physics' own feet: both stand on it, then both stand behind it."""
+    outcome = stepped("platform", "duration=6.6s", LOW)
+    assert outcome.stable, outcome.reason
+    world = outcome.tables["world"]
+    feet = ("right_foot", "left_foot")
+    stands = {foot: world[f"contact.{foot}.z"] < -20.0 for foot in feet}
+    both = stands["right_foot"] & stands["left_foot"]
+    on_top = [np.abs(world[f"foot.{foot}.z"] - 0.07) < 2e-3 for foot in feet]
+    behind = [(world[f"foot.{foot}.x"] > 0.8) & (np.abs(world[f"foot.{foot}.z"]) < 2e-3) for foot in feet]
+    assert (both & on_top[0] & on_top[1]).any() and (both & behind[0] & behind[1]).any()
+    above = world["com.z"] - world["com.z"][world.seconds > 1.4][0]
+    assert above[both & on_top[0] & on_top[1]].max() == pytest.approx(0.07, abs=0.015)
+    assert outcome.metrics["orientation_error_max"] < 0.1
+
+
+def test_a_platform_that_it_does_not_know_of_fells_it() -> None:
+    assert not stepped("platform", "duration=6s", "controller.blocks=[]").stable
+
+
 def test_both_backends_walk_alike() -> None:
     runs = [stepped("walk-forward", "duration=1.7s", backend=backend) for backend in ("inline", "processes")]
     assert runs[0].digest == runs[1].digest

@@ -329,3 +329,12 @@ def test_an_unknown_scenario_names_the_nearest() -> None:
 def test_all_buses_are_there_with_their_defaults() -> None:
     scenario = load("stand", ["bus.left_leg.loss=0.1"])
     assert scenario.bus["left_leg"].loss == 0.1 and scenario.bus["right_leg"] == BusConfig()
+
+
+def test_a_controller_knows_the_terrain_s_blocks_unless_it_is_told_others() -> None:
+    (platform,) = load("platform").terrain.blocks
+    assert load("platform").controller.blocks == (platform,)
+    assert load("platform", ["controller.blocks=[]"]).controller.blocks == ()
+    assert load("stand").controller.blocks == ()
+    with pytest.raises(UserError, match=r"platform: controller\.stepping\.planner\.ramp = 0\.9 m is too long"):
+        load("platform", ["controller.stepping.planner.ramp=0.9m"])

@@ -6,7 +6,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from central_controller.planning.height_surface import CosineProfile, HeightSurface, Plane, platform, vault
+from central_controller.planning.height_surface import (
+    CosineProfile,
+    HeightSurface,
+    Plane,
+    over_blocks,
+    platform,
+    vault,
+)
+from robots.terrain import Block
 
 PLATFORM = platform(0.86, 0.07, 0.4, 1.0, 0.3)  # Kim 2018 §4.3.1: the middle piece is 7 cm higher
 VAULT = vault(-0.15, 0.80, 0.03, 0.2, 0.78)
@@ -63,3 +71,16 @@ def test_places_out_of_order_are_refused() -> None:
         CosineProfile([(0.0, 0.8), (0.0, 0.9)])
     with pytest.raises(ValueError, match="ascending x"):
         CosineProfile([])
+
+
+def test_over_blocks_it_is_as_much_higher_as_they_are() -> None:
+    low = Block.model_validate({"start": "40cm", "end": "120cm", "height": "7cm"})
+    high = Block.model_validate({"start": "160cm", "end": "210cm", "height": "10cm"})
+    surface = over_blocks(0.8, [high, low], 0.3)
+    inside = {0.0: 0.8, 0.25: 0.8, 0.55: 0.87, 0.8: 0.87, 1.05: 0.87, 1.35: 0.8, 1.45: 0.8, 1.75: 0.9, 2.3: 0.8}
+    for x, height in inside.items():
+        assert surface(x, 0.3)[0] == pytest.approx(height)
+    assert surface(low.start, 0.0)[0] == pytest.approx(0.835)  # half a ramp lies on the block
+    assert over_blocks(0.8, [], 0.3)(1.0, 0.0) == (0.8, 0.0, 0.0, 0.0, 0.0, 0.0)
+    with pytest.raises(ValueError):
+        over_blocks(0.8, [low, high], 0.5)

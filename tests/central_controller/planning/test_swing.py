@@ -35,6 +35,25 @@ def test_it_lands_on_the_planned_foot_at_the_touchdown_speed() -> None:
     assert end[:6] == pytest.approx((*TARGET, 0.0, 0.0, -CONFIG.touchdown_speed), abs=1e-9)
 
 
+def test_over_an_edge_it_keeps_its_height_before_it_goes_down() -> None:
+    swing = SwingTrajectory(SwingConfig(level=0.4))
+    step_up, start = 0.07, 1.0 + TIMING.lifting
+    swing.lift(1.0, START, TIMING.lifting, step_up)
+    swing.land(start, TARGET, TIMING.landing)
+    top, down = swing.at(start)[2], start + 0.4 * TIMING.landing
+    assert top == pytest.approx(START.z + CONFIG.height + step_up)
+    for t in np.linspace(start + 1e-3, down - 1e-3, 5):
+        point = swing.at(t)
+        assert point[2] == pytest.approx(top) and point[5] == point[8] == 0.0
+        assert START.x < point[0] < TARGET.x and point[3] > 0.0
+    before, after = swing.at(down - 1e-9), swing.at(down + 1e-9)
+    assert after[:6] == pytest.approx(before[:6], abs=1e-6)
+    end = swing.at(start + TIMING.landing - 1e-12)
+    assert end[:6] == pytest.approx((*TARGET, 0.0, 0.0, -CONFIG.touchdown_speed), abs=1e-9)
+    late = swing.at(start + TIMING.landing + 0.01)
+    assert late[2] == pytest.approx(TARGET.z - 0.01 * CONFIG.touchdown_speed)
+
+
 def test_late_ground_is_looked_for_slowly_and_not_for_ever() -> None:
     swing = lifted()
     swing.land(2.0, TARGET, TIMING.landing)

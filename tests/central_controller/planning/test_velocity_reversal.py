@@ -11,9 +11,10 @@ from central_controller.planning.config import PlannerConfig, ReachConfig, StepT
 from central_controller.planning.gait import Gait
 from central_controller.planning.height_surface import CosineProfile, Plane, platform
 from central_controller.planning.pendulum import Foot, Pendulum, PendulumState, on_level
-from central_controller.planning.reach import LEFT, RIGHT, nearest_reachable
+from central_controller.planning.reach import LEFT, RIGHT, clear_of_edges, nearest_reachable
 from central_controller.planning.rehearsal import rehearse
 from central_controller.planning.velocity_reversal import VelocityReversalPlanner
+from robots.terrain import Block
 
 HEIGHT, T = 0.86, StepTiming().step_time
 FREE = {"reach": dict.fromkeys(("forward", "lateral_max", "hip_forward", "hip_inward", "hip_outward"), "9m")}
@@ -50,7 +51,8 @@ def test_in_the_plane_only_x_is_planned_with_the_slider_s_mass(state: PendulumSt
     """Kim 2018 (7.5): on a level surface the slider makes gravity smaller by r, for x."""
     ratio, stance, goal = 0.82, Foot(0.02, -0.14), (0.1, 3.0)
     config = PlannerConfig.model_validate({**FREE, "lateral": False})
-    plan = VelocityReversalPlanner(config, Pendulum(Plane(HEIGHT), mass_ratio=ratio)).plan(state, stance, LEFT, 0.2, goal)
+    pendulum = Pendulum(Plane(HEIGHT), mass_ratio=ratio)
+    plan = VelocityReversalPlanner(config, pendulum).plan(state, stance, LEFT, 0.2, goal)
     switching = on_level(state, stance, HEIGHT, 0.2, ratio * 9.81)
     omega = math.sqrt(ratio * 9.81 / HEIGHT)
     place = (1 + config.kappa_x) * switching.x - config.kappa_x * goal[0]
@@ -138,6 +140,17 @@ def test_a_longer_swing_keeps_them_apart() -> None:
     extensions = np.array([step.plan.extension for step in walked])
     assert 0.0 < extensions[5:].max() < config.extension.limit
     assert not any(step.plan.projected for step in walked)
+
+
+@given(x=st.floats(-1.0, 2.0))
+def test_no_foot_is_put_on_an_edge(x: float) -> None:
+    block = Block.model_validate({"start": "40cm", "end": "120cm", "height": "7cm"})
+    place = clear_of_edges([block], x, 0.04)
+    assert min(abs(place - edge) for edge in (block.start, block.end)) >= 0.04 - 1e-9
+    assert abs(place - x) <= 0.04 + 1e-9
+    assert all((place - edge) * (x - edge) >= 0.0 for edge in (block.start, block.end))
+    if min(abs(x - edge) for edge in (block.start, block.end)) > 0.04:
+        assert place == x
 
 
 @pytest.mark.parametrize("bias", [0.005, 0.01])
