@@ -135,6 +135,8 @@ def trade(bandwidths: np.ndarray, reached: np.ndarray) -> tuple[Verdict, str]:
     course = ", ".join(f"×{b:.2f} at {a:.0f} Hz" for a, b in zip(x[::-1], y[::-1], strict=True))
     nowhere = ", ".join(f"{a:.0f} Hz" for a in bandwidths[reached == 0.0][::-1])
     course += f" (none at {nowhere})" if nowhere else ""
+    unknown = ", ".join(f"{a:.0f} Hz" for a in bandwidths[np.isnan(reached)][::-1])
+    course += f" (not known at {unknown})" if unknown else ""
     if rises and not falls:
         return "holds", f"{course}: it rises by {100 * gained:.0f} % as the torque bandwidth falls"
     if rises:
@@ -169,9 +171,10 @@ def _torque_against_position(found: Mapping[str, Answers]) -> Findings:
     )  # fmt: skip
     tables = (table, *_all_gains(found))
     told = [(*trade(hertz, line), f"Predicted, {_LINES[name]}") for name, line in lines.items()]
+    whole = [np.isfinite(line).all() for line in lines.values()]  # what is not known in part cannot tell
     claim = Claim(
         "A lower bandwidth of the torque loops lets the bandwidth of the position loop rise.",
-        told[0][0],
+        told[whole.index(True) if any(whole) else 0][0],
         (*(f"{who}: {numbers}." for _, numbers, who in told),
          *(f"{text[0].upper()}{text[1:]}: {trade(hertz, line)[1]}." for text, line in of_runs.items())),
     )  # fmt: skip
