@@ -9,7 +9,7 @@ from pydantic import Field
 from central_controller.planning.config import OpenLoopConfig
 from central_controller.stepping_config import StepConfig
 from central_controller.task_gains import TaskGains
-from robots.quantities import Config, Gain, Hertz, Metres, Newtons, Seconds
+from robots.quantities import Config, Gain, Hertz, Metres, Newtons, Probability, Seconds
 from robots.terrain import Block
 
 
@@ -50,6 +50,14 @@ class MotionCaptureFilterConfig(Config):
     gate: Annotated[Metres, Field(gt=0)] = 0.01  # error of a distance between two LEDs from which one is not believed
 
 
+class ContactForceConfig(Config):
+    """Contact felt in the joints' torques (``estimation/contact.py``)."""
+
+    cutoff: Annotated[Hertz, Field(gt=0)] = 90.0  # each of two poles, of torques and velocities
+    press: Newtons = 20.0  # from which a foot touches the ground; Hume's legs feel up to 9 N that are not there
+    release: Probability = 0.5  # share of that below which it no longer does
+
+
 class ControllerConfig(Config):
     """The central controller: timing, model, tasks."""
 
@@ -62,6 +70,8 @@ class ControllerConfig(Config):
     orientation_time_constant: Seconds = 2.0  # of the accelerometer's correction of the integrated gyro
     orientation: Literal["complementary", "motion_capture"] = "complementary"  # the filter that tells it
     motion_capture: MotionCaptureFilterConfig = MotionCaptureFilterConfig()
+    contact: Literal["switch", "force", "both"] = "switch"  # what tells that a foot touches the ground; both must
+    contact_force: ContactForceConfig = ContactForceConfig()
     stand_at: Seconds = 0.6  # the robot hangs still until then, its joints held by the drives
     weight_ramp: Seconds = 0.2  # torques grow from nothing over this time
     tasks: TaskSetConfig = TaskSetConfig()

@@ -16,6 +16,7 @@ from central_controller.behaviours import BEHAVIOURS
 from central_controller.behaviours.behaviour import Behaviour, Phase, Workspace
 from central_controller.binding import Bound
 from central_controller.config import ControllerConfig
+from central_controller.estimation import contact
 from central_controller.estimation.motion_capture import FIELDS, MotionCaptureOrientation
 from central_controller.estimator import Hanging, filter_constants
 from central_controller.law import ORIENTATION, estimate, predict
@@ -47,7 +48,8 @@ _NODE_FIELDS = ("state_age", "phase", "missed_states", "malformed")  # not of th
 def telemetry_fields(robot: Robot, config: ControllerConfig) -> list[str]:
     """Names of the controller's telemetry, in order."""
     orientation = FIELDS if config.orientation == "motion_capture" else ()
-    return [*BEHAVIOURS[config.behaviour].fields(robot), *orientation, *_NODE_FIELDS]
+    touch = contact.fields(robot) if config.contact != "switch" else ()
+    return [*BEHAVIOURS[config.behaviour].fields(robot), *orientation, *touch, *_NODE_FIELDS]
 
 
 def _identity(function: ca.Function) -> ca.Function:
@@ -98,6 +100,9 @@ class Controller:
         self._orientation: MotionCaptureOrientation | None = None  # None: that of ``predict``
         if config.orientation == "motion_capture":
             self._orientation = MotionCaptureOrientation(robot, config.motion_capture, compile)
+        self._contact: contact.Contact | None = None  # None: the switches tell
+        if config.contact != "switch":
+            self._contact = contact.Contact(space, self._hanging.zero, compile)
         self._phase_ns = round(config.phase * 1e9)
         self._hold: tuple[int, ...] = (0,) * n  # counts: where the joints were at first
         self._unpack_states = struct.Struct("<" + messages.STATE_LAYOUT * n).unpack
@@ -177,6 +182,8 @@ class Controller:
             self._hanging.take(space.gyro, space.force)
             space.q[3:7], space.v[3:6] = self._hanging.quaternion, 0.0
         self._model.compute(space.q, space.v)
+        if self._contact is not None:
+            self._contact.tell()
         behaviour.act(self._phase, now_ns, self._since_ns)
         self._memory[:] = behaviour.memory_next
         setpoints = self._setpoints(words, positions)
@@ -236,9 +243,12 @@ class Controller:
     def _answer(self, now_ns: int, setpoints: list[Setpoint]) -> list[tuple[int, int, bytes]]:
         self._counter = counter = (self._counter + 1) & 0xFFFF
         behaviour = self._behaviour.telemetry
-        self.telemetry[: len(behaviour)] = behaviour
-        if self._orientation is not None:
-            self.telemetry[len(behaviour) : -len(_NODE_FIELDS)] = self._orientation.telemetry
+        at = len(behaviour)
+        self.telemetry[:at] = behaviour
+        for part in (self._orientation, self._contact):
+            if part is not None:
+                self.telemetry[at : at + len(part.telemetry)] = part.telemetry
+                at += len(part.telemetry)
         age = (now_ns - min(self._arrivals)) * 1e-9
         self.telemetry[-len(_NODE_FIELDS) :] = age, self._phase, self._missed, self._malformed
         return [
@@ -262,6 +272,7 @@ class Controller:
             "behaviour": self._behaviour.snapshot(),
             "frames": list(self._frames),
             "orientation": None if self._orientation is None else self._orientation.snapshot(),
+            "contact": None if self._contact is None else self._contact.snapshot(),
         }
 
     def restore(self, state: dict[str, Any]) -> None:
@@ -276,3 +287,5 @@ class Controller:
         self._frames[:] = state["frames"]
         if self._orientation is not None:
             self._orientation.restore(state["orientation"])
+        if self._contact is not None:
+            self._contact.restore(state["contact"])

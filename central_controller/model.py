@@ -153,6 +153,12 @@ class RobotModel:
             task_velocity=ca.vertcat(*(speed[task] for task in tasks)),
         )
 
+    def leg(self, foot: int) -> list[int]:
+        """Numbers of the joints between the base and a foot."""
+        _, joint, _ = self._feet[foot]
+        supports = list(self.model.supports[joint])[2:]  # without the universe and the base
+        return [self.model.joints[support].idx_v - BASE for support in supports]
+
     def _foot(
         self, sources: dict[str, ca.SX], name: str, joint: int, lever: ca.DM
     ) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:

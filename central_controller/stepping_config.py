@@ -64,6 +64,7 @@ class StepConfig(Config):
 
     start: Seconds = 1.2  # from the start of the run: the robot stands on its own by then
     first: Foot = 0  # the foot that lifts first: "right" or "left"
+    transition: bool = True  # of forces, in and out (2.19); false: single support begins and ends at once
     # "fixed": each foot lands where it stood before the first step, as seen from the centre of mass (Kim 2018 §2.2.1)
     placement: Literal["planned", "fixed"] = "planned"
     # joints that turn out of the sagittal plane are held where they are, by their drives, and not by whole-body control

@@ -143,6 +143,7 @@ def _parser() -> argparse.ArgumentParser:
         protection,
         replay,
         rerun,
+        steps,
         study,
         sweep,
     )
@@ -160,6 +161,7 @@ def _parser() -> argparse.ArgumentParser:
     sweep.add_parser(commands)
     map_command.add_parser(commands)
     gait.add_parser(commands)
+    steps.add_parser(commands)
     study.add_parser(commands)
     eds.add_parser(commands)
     export.add_parser(commands)
@@ -287,6 +289,10 @@ def _print_outcome(record: dict[str, Any]) -> None:
         print(
             f"int. force  error {number('internal_force_error', 100, '%')} sensed, "
             f"{number('internal_force_error_truth', 100, '%')} true"
+        )
+    if metrics.get("steps") is not None:
+        print(
+            f"steps       {metrics['steps']}, feet land within {number('foot_placement_error_rms', 100, 'cm', 2)} (rms)"
         )
     print(f"round trip  p50 {number('round_trip_p50', 1e3, 'ms', 3)}, p99 {number('round_trip_p99', 1e3, 'ms', 3)}")
     load = metrics.get("bus_load") or {}

@@ -336,7 +336,7 @@ def conclude(
         if request.video and len(tables["world"]):
             from hil.report.video import write_video
 
-            write_video(request.out, scenario, tables["world"])
+            write_video(request.out, scenario, tables)
         write_record(request.out, scenario, outcome, request.report, request.part_of)
     return outcome
 
@@ -372,8 +372,9 @@ def write_record(
         writer = McapWriter(directory / LAST_SECONDS_FILE, {CHANNEL: table.names})
         writer.write(CHANNEL, table.times, table.data)
         writer.close()
+    above = {} if part_of is None else {"part_of": part_of._asdict()}  # for whoever writes the report anew
     partial = directory / "run.json.part"
-    partial.write_text(json.dumps(outcome.record, indent=2), encoding="utf-8")
+    partial.write_text(json.dumps(outcome.record | above, indent=2), encoding="utf-8")
     partial.replace(directory / "run.json")  # never half a record
     if report and len(outcome.tables["world"]) > 10:
         from hil.report.page import write_report

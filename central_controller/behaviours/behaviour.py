@@ -31,7 +31,7 @@ class Workspace:
     """What node and behaviour share: float64 arrays that stay where they are, n joints.
 
     Measurements: ``counts`` (3 n: positions, velocities, torques as the drives send them), ``gyro`` (3) [rad/s],
-    ``force`` (3) [m/s²], ``contacts`` (feet, 1 where the switch is closed). Estimate: ``q``, ``v`` in the coordinates
+    ``force`` (3) [m/s²], ``contacts`` (feet, 1 where the ground is touched). Estimate: ``q``, ``v`` in the coordinates
     of ``model``.
     """
 

@@ -288,6 +288,7 @@ class Step:
         elif state in (State.LIFTING, State.LANDING):
             x, y, z, vx, vy, vz, ax, ay, az = self._swing_path.at(now)
             self._reference[:, _FOOT:] = (x, y, z), (vx, vy, vz), (ax, ay, az)
+        self._push *= self._stepping.transition
 
     def _reference_of_body(self, now: float) -> None:
         reference = self._reference

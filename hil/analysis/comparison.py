@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+from hil.analysis.difference import Comparison, compare
 from hil.analysis.numbers import Number, key_numbers
 from hil.errors import UserError
 from hil.record.recorded import Recorded, read_run
@@ -58,8 +60,17 @@ class SideBySide:
         text = text if len(text) <= 60 else f"{text[:59]}…"
         return f"{letter(index)}: {text}"
 
+    @cached_property
+    def parting(self) -> Comparison | None:
+        """Of two runs of one robot where they part, to the bit; of others None."""
+        if len(self.runs) != 2 or len({run.scenario.robot for run in self.runs}) > 1:
+            return None
+        a, b = self.runs
+        return compare(a.directory, b.directory)
+
     def record(self) -> dict[str, Any]:
         """For JSON; numbers in the unit that stands beside them."""
+        first = None if self.parting is None else self.parting.first
         return {
             "runs": [
                 {"name": name, "directory": str(run.directory), "scenario": run.scenario.name, "seed": run.seed,
@@ -67,6 +78,7 @@ class SideBySide:
                 for name, run in zip(self.letters, self.runs, strict=True)
             ],
             "differing": {key: list(values) for key, values in self.differing.items()},
+            "first_difference": None if first is None else {"time_s": first.time_ns * 1e-9, **asdict(first)},
             "numbers": {
                 row.name: {"unit": row.unit, "values": row.values, "differences": row.differences} for row in self.rows
             },

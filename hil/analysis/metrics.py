@@ -44,7 +44,7 @@ def derived_metrics(run: Derived, window: float) -> Metrics:
         **_communication(run),
         "oscillation": {name: _oscillation_entry(o) for name, o in oscillations(run, window).items()},
         **_stiffness(run),
-        **stepping_metrics(run.controller, run.world),
+        **stepping_metrics(run),
     }
 
 

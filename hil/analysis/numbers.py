@@ -56,6 +56,8 @@ def key_numbers(metrics: Mapping[str, Any], configuration: Mapping[str, Any]) ->
         Number("round trip p50", metrics.get("round_trip_p50"), 1e3, "ms"),
         Number("round trip p99", metrics.get("round_trip_p99"), 1e3, "ms", note=f"servo period {period:.4g} ms"),
     ]  # fmt: skip
+    if "steps" in metrics:
+        found += _of_stepping(metrics)
     for bus, load in (metrics.get("bus_load") or {}).items():
         lost, errors = metrics["frames_lost"][bus], metrics["bus_errors"][bus]
         note = f"{lost} frames lost, {errors} bus errors"
@@ -66,3 +68,15 @@ def key_numbers(metrics: Mapping[str, Any], configuration: Mapping[str, Any]) ->
             note = f"±{doubt}, at {entry['frequency']:.2g} Hz; limit {limits['growth_rate']:g} 1/s"
             found.append(Number(f"oscillation of {name}, growth", entry["growth"], 1, "1/s", note=note))
     return found
+
+
+def _of_stepping(metrics: Mapping[str, Any]) -> list[Number]:
+    step = "N m per tick"
+    return [
+        Number("steps", metrics["steps"]),
+        Number("tilt in steady steps, largest", metrics["orientation_error_max_steady"], 180.0 / math.pi, "°"),
+        Number("foot placement, rms", metrics["foot_placement_error_rms"], 100.0, "cm"),
+        Number("foot placement, largest", metrics["foot_placement_error_max"], 100.0, "cm"),
+        Number("torque step at lift, largest", metrics["torque_step_at_lift_max"], 1.0, step),
+        Number("torque step at touch-down", metrics["torque_step_at_touchdown_max"], 1.0, step),
+    ]

@@ -49,6 +49,8 @@ def _print(found: SideBySide) -> None:
     print("\ndiffers" if found.differing else "\nnothing differs: repetitions of one run")
     for key, values in found.differing.items():
         print(f"  {key}: " + ", ".join(f"{v or 'nothing'} in {name}" for name, v in zip(letters, values, strict=True)))
+    if found.parting is not None and found.parting.first is not None:
+        print(f"\nthe first difference\n  {found.parting.first}")
     width = max(len(row.name) + len(row.unit) for row in found.rows) + 3
     print("\n" + " " * width + "".join(f"{name:>22}" for name in letters))
     for row in found.rows:

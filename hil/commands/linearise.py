@@ -61,7 +61,7 @@ def _linearise(options: argparse.Namespace) -> int:
     ):
         found = point.linearise()
         progress.show(1)
-        half = point.linearise(scale=0.5)
+        half = point.linearise(scale=0.5 * found.scale)
         progress.show(2)
         prediction = None if search is None else predict(point, search, lambda steps: progress.show(2 + len(steps)))
     record = {
@@ -70,6 +70,7 @@ def _linearise(options: argparse.Namespace) -> int:
         "period": found.model.period,
         **found.record(),
         "convergence": found.change(half),
+        "doubt": found.doubt(half),
     }
     if search is not None and prediction is not None:
         of = search.quantity

@@ -12,6 +12,7 @@ from hil.commands.arguments import add_scenario, positive, scenario_of, seconds
 from hil.errors import EXIT_STABLE, EXIT_UNSTABLE, UserError
 
 if TYPE_CHECKING:
+    from hil.lab.linear.prediction import Prediction
     from hil.lab.margin import Search
     from hil.lab.quantity import Quantity
 
@@ -76,11 +77,12 @@ def _margin(options: argparse.Namespace) -> int:
         resolution = None if options.resolution is None else float(varied.parse(options.resolution))
     search = checked(Search(scenario, varied, seconds("--at", options.at), near, far, resolution))
     jobs = options.jobs or default_jobs()
+    prediction = _predicted(search) if options.predict else None  # first: it tells at once where there can be none
     with Counter(f"{scenario.name}: {varied.key}", options.seeds, "seeds", sys.stderr) as progress:
         found = margins(search, range(options.seeds), jobs, progress.show)
     result = summary(search, found)
-    if options.predict:
-        result |= _predicted(search, result)
+    if prediction is not None:
+        result |= _beside(prediction, search, result)
     if options.out is not None:
         from hil.report.margin_page import write_margin
 
@@ -104,20 +106,26 @@ def _margin(options: argparse.Namespace) -> int:
     return EXIT_UNSTABLE if result["unstable_at_start"] == len(found) else EXIT_STABLE
 
 
-def _predicted(search: Search, result: dict[str, Any]) -> dict[str, Any]:
-    """What the linear loop says of the same, and why that differs where it does."""
-    from hil.lab.linear.prediction import parting, predicted
+def _predicted(search: Search) -> Prediction:
+    """What the linear loop says of the same."""
+    from hil.lab.linear.prediction import predicted
     from hil.report.progress import Counter
 
     with Counter("the linear loop", 10, "linearisations", sys.stderr) as progress:
-        found = predicted(search, lambda steps: progress.show(len(steps)))
-    reasons = [
-        run["reason"] for seed in result["per_seed"] for run in seed["tried"] if run["value"] == seed["unstable"]
-    ]
-    record = found.record()
+        return predicted(search, lambda steps: progress.show(len(steps)))
+
+
+def _beside(prediction: Prediction, search: Search, result: dict[str, Any]) -> dict[str, Any]:
+    """The prediction for JSON, and why it differs from what was found where it does."""
+    from hil.lab.linear.prediction import parting
+
+    ended = [run for seed in result["per_seed"] for run in seed["tried"] if run["value"] == seed["unstable"]]
+    reasons, first = [run["reason"] for run in ended], [run["came_first"] for run in ended]
+    record = prediction.record()
     return {
         "predicted": record.pop("predicted"),
-        "parting": parting(search, found, result["margin"], reasons),
+        "doubt": record.pop("doubt"),
+        "parting": parting(search, prediction, result["margin"], reasons, first),
         "linear": record,
     }
 

@@ -88,13 +88,15 @@ def replay(directory: Path, out: Path | None = None, video: bool = False) -> tup
 def _add_video(directory: Path, scenario: Scenario, tables: dict[str, Any]) -> None:
     """Write the video of a run beside its record, and its report, if it has one, anew."""
     from hil.record.recorded import read_run
+    from hil.report.html import Link
     from hil.report.page import write_report
     from hil.report.video import write_video
 
-    write_video(directory, scenario, tables["world"])
+    write_video(directory, scenario, tables)
     found = read_run(directory)
     if found.record is not None and (directory / "report.html").exists():
-        write_report(directory, found.record, found.tables)
+        above = found.record.get("part_of")
+        write_report(directory, found.record, found.tables, None if above is None else Link(**above))
 
 
 def add_parser(commands: Any) -> None:

@@ -7,13 +7,20 @@ from collections.abc import Callable
 
 import numpy as np
 
-from central_controller.config import MotionCaptureFilterConfig
+from bus import messages
+from central_controller.behaviours.behaviour import Workspace
+from central_controller.binding import Bound
+from central_controller.config import ControllerConfig, MotionCaptureFilterConfig
+from central_controller.estimation.contact import Contact
 from central_controller.estimation.foot_light import light_filter
 from central_controller.estimation.foot_models import FootNoise
 from central_controller.estimation.kalman import UNKNOWN
 from central_controller.estimation.motion_capture import MotionCaptureOrientation
 from central_controller.estimation.orientation_ekf import OrientationFilter, OrientationNoise
 from central_controller.estimation.pendulum_observer import PendulumNoise, PendulumObserver
+from central_controller.estimator import filter_constants
+from central_controller.law import predict
+from central_controller.model import RobotModel
 from hil.compiled import compile_function
 from robots import description
 from robots.motion_capture import Frame
@@ -56,7 +63,30 @@ def tick_costs(ticks: int = 2000) -> dict[str, float]:
         cameras.take_imu(rate, exposure_ns)
         cameras.take_frame(Frame(exposure_ns, 0, seen, places))
 
-    tasks = {
+    config = ControllerConfig(contact="force")
+    model = RobotModel(_ROBOT)
+    n = len(_ROBOT.joints)
+    space = Workspace(
+        _ROBOT, config, model, np.zeros(3 * n), rate, np.array([0.0, 0.0, 9.81]), np.zeros(2),
+        np.zeros(model.nq), np.zeros(model.nv),
+    )  # fmt: skip
+    space.counts[:n] = 0.5 / messages.RADIAN  # bent legs
+    remembered = np.concatenate([quaternion, np.zeros(n)])
+    joints = Bound(
+        compile_function(predict(n)),
+        {
+            "counts": space.counts, "gyro": space.gyro, "zero": np.zeros(3), "force": space.force,
+            "estimate": remembered, "filters": filter_constants(config),
+        },
+        {"q": space.q, "v": space.v},
+    )  # fmt: skip
+    joints()
+    model.compute(space.q, space.v)
+    contact = Contact(space, np.zeros(3), compile_function)
+
+    tasks: dict[str, Callable[[], None]] = {
+        "joints and complementary orientation": joints,
+        "contact from torques": contact.tell,
         "orientation EKF": turn,
         "orientation from motion capture, with a frame": look,
         "foot position, light filter of 15 states": place,

@@ -23,13 +23,15 @@ _CHANNELS = ("world", "controller", "drives", "bus")
 
 @dataclass(frozen=True)
 class Outcome:
-    """What came out. ``simulated``: up to when it ran, s; a run that has failed is ended."""
+    """What came out. simulated: up to when it ran, s; a run that has failed is ended. came_first: of one that is not
+    stable the first sign, kind and place (``hil.analysis.causes``); empty if there is none."""
 
     stable: bool
     reason: str
     metrics: dict[str, Any]
     digest: str
     simulated: float
+    came_first: str = ""
 
 
 class Experiment:
@@ -89,10 +91,14 @@ class Experiment:
 
     def outcome(self) -> Outcome:
         """Verdict, metrics and digest of what has run so far."""
+        from hil.analysis.causes import signs
         from hil.analysis.verdict import judge
 
-        verdict = judge(self.tables(), self.scenario, stopped=self.failed)
-        return Outcome(verdict.stable, verdict.reason, verdict.metrics, self.recorder.digest(), self.now)
+        tables = self.tables()
+        verdict = judge(tables, self.scenario, stopped=self.failed)
+        first = next(iter(signs(tables, self.scenario)), None) if not verdict.stable else None
+        told = "" if first is None else f"{first.kind}, {first.where}"
+        return Outcome(verdict.stable, verdict.reason, verdict.metrics, self.recorder.digest(), self.now, told)
 
     def snapshot(self) -> dict[str, Any]:
         """Everything at this moment, with the record so far; for this experiment only."""

@@ -76,12 +76,13 @@ class Search:
 
 @dataclass(frozen=True)
 class Tried:
-    """One run: the value, its verdict, and some of its metrics."""
+    """One run: the value, its verdict, some of its metrics, and what came first if it failed."""
 
     value: float
     stable: bool
     reason: str
     metrics: dict[str, Any]
+    came_first: str = ""
 
 
 @dataclass(frozen=True)
@@ -103,7 +104,7 @@ def margin_of_seed(search: Search, seed: int) -> SeedMargin:
             found = trials.outcome({search.quantity: value}, seed)
             metrics: dict[str, Any] = {name: found.metrics.get(name) for name in _SHOWN}
             metrics["oscillation"] = found.metrics.get("oscillation")
-            return Tried(value, found.stable, found.reason, metrics)
+            return Tried(value, found.stable, found.reason, metrics, found.came_first)
 
         return bisect(search, seed, attempt)
 

@@ -47,6 +47,11 @@ class Places:
         of_place = [self.columns["reason"][row] for row in self.rows[place]]
         return max(dict.fromkeys(of_place), key=of_place.count)
 
+    def came_first(self, place: Place) -> list[str]:
+        """The first sign of each run that failed, as far as the table tells."""
+        known = self.columns.get("came_first", [None] * len(self.columns["reason"]))
+        return [known[row] for row in self.rows[place] if known[row]]
+
     def share(self, place: Place) -> float:
         """Of its runs that are stable."""
         verdicts = self.stable(place).values()

@@ -139,8 +139,8 @@ class Running:
         writer.close()
         lines = "".join(json.dumps(entry) + "\n" for entry in self._journal.entries)
         (directory / JOURNAL_FILE).write_text(lines, encoding="utf-8")
-        if video and len(outcome.tables["world"]):
+        if video and len(outcome.tables):
             from hil.report.video import write_video
 
-            write_video(directory, self.scenario, outcome.tables["world"])
+            write_video(directory, self.scenario, outcome.tables)
         write_record(directory, self.scenario, outcome, part_of=part_of)

@@ -137,6 +137,7 @@ def row_of(found: Outcome) -> Row:
     return {
         "verdict": "stable" if found.stable else "unstable",
         "reason": found.reason,
+        "came_first": found.came_first,
         "simulated": found.simulated,
         "metrics": dict(flat(found.metrics)),
         "digest": found.digest,
@@ -186,8 +187,8 @@ def _write_table(plan: Plan, directory: Path, rows: dict[Cell, Row]) -> None:
     for n, a in enumerate(plan.axes):
         add(a.quantity.key, types[a.quantity.kind], [plan.points[p][n] for p, _ in cells], a.quantity.unit)
     add("seed", pa.int64(), [seed for _, seed in cells])
-    for name in ("verdict", "reason", "digest"):
-        add(name, pa.string(), [rows[cell][name] for cell in cells])
+    for name in ("verdict", "reason", "came_first", "digest"):
+        add(name, pa.string(), [rows[cell].get(name) for cell in cells])
     add("simulated", pa.float64(), [rows[cell]["simulated"] for cell in cells], "s")
     # those that some run has: "oscillation.pitch" is none where "oscillation.pitch.growth" might be
     found = {name for cell in cells for name, value in rows[cell]["metrics"].items() if value is not None}

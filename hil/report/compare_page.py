@@ -18,6 +18,7 @@ from hil.report.html import Link, document, film, picture, run_link
 
 _COLOURS = ("tab:blue", "tab:orange", "tab:green", "tab:purple", "tab:brown", "tab:cyan", "tab:olive", "tab:pink")
 _STYLES = ("-", "--", "-.")  # where the colours have been used up
+_FIRST = 5  # differences that are told
 _NEAR = 2.5  # times the data: limits further away are only named
 _MARK: dict[str, Any] = {"marker": "x", "markersize": 7, "markeredgewidth": 2.0, "linestyle": "none"}
 
@@ -34,7 +35,7 @@ def write_comparison(directory: Path, found: SideBySide, pictures: bool = False,
             figure.savefig(directory / f"{name}.png", dpi=150)
         shown.append(picture(title, caption, encoded(figure)))
     body = f"""{_runs(directory, found)}
-<h2>What differs</h2>{_differing(found)}
+<h2>What differs</h2>{_differing(found)}{_parting(found)}
 <h2>Key numbers</h2><p class=caption>In brackets: less that of A. Red: beyond the run's own limit.</p>{_numbers(found)}
 {_films(directory, found)}{"".join(shown)}"""
     path = directory / "compare.html"
@@ -64,10 +65,23 @@ def _differing(found: SideBySide) -> str:
     if not found.differing:
         return "<p>nothing: these are repetitions of one run</p>"
     rows = [
-        [("", html.escape(key)), *(("", html.escape(value or "–")) for value in values)]
+        [("", html.escape(key)), *((" class=text", html.escape(value or "–")) for value in values)]
         for key, values in found.differing.items()
     ]
     return _table(("key", *found.letters), rows)
+
+
+def _parting(found: SideBySide) -> str:
+    """Where two runs part first, and the way that it takes through the nodes; nothing for more of them."""
+    parting = found.parting
+    if parting is None:
+        return ""
+    if parting.first is None:
+        return f"<p>The same to the bit up to {parting.until_ns * 1e-9:.3f} s, as far as both go.</p>"
+    rest = parting.differences[1:]
+    items = "".join(f"<li>{html.escape(str(difference))}</li>" for difference in parting.differences[:_FIRST])
+    more = f"<p class=caption>and {len(rest) + 1 - _FIRST} more: hil diff</p>" if len(rest) >= _FIRST else ""
+    return f"<h2>Where they part</h2><ol>{items}</ol>{more}"
 
 
 def _numbers(found: SideBySide) -> str:
@@ -244,18 +258,20 @@ class _Overlay:
 
     def _friction(self) -> Any:
         figure, axes = new_figure(height=3.6)
+        top = 1.4 * max(0.1, *(run.scenario.terrain.friction for run, _ in self.runs))
 
         def used(_: Recorded, derived: Derived) -> tuple[np.ndarray, np.ndarray] | None:
             ratios = [np.nan_to_num(ratio, nan=-1.0) for ratio in derived.friction_ratio.values()]
             if not ratios:
                 return None
             largest = np.max(ratios, axis=0)
+            largest = np.minimum(largest, top)  # of a foot that hardly touches the ground it is anything
             return derived.world.seconds, np.where(largest >= 0.0, largest, np.nan)
 
         self._curves(axes, "tangential / normal force", used)
         for value in dict.fromkeys(run.scenario.terrain.friction for run, _ in self.runs):
             axes.axhline(value, **LIMIT, label=f"friction coefficient {value:g}")
-        axes.set_ylim(0.0, 1.4 * max(0.1, *(run.scenario.terrain.friction for run, _ in self.runs)))
+        axes.set_ylim(0.0, top)
         axes.legend(fontsize=8, loc="upper right")
         return self._legend(figure)
 

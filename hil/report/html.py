@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import html
 import os
+from collections.abc import Iterable
 from pathlib import Path
 from typing import NamedTuple
 
 BEYOND = ' class="beyond"'  # of a row or cell whose value is beyond its limit
+_NAME = 12  # characters before the text of a line of a command
 VIDEO_FILE = "video.mp4"  # in a run's directory
 
 _STYLE = """
@@ -19,7 +21,7 @@ h1{font-size:1.5rem}h2{font-size:1.1rem;margin:2rem 0 0}img,video{width:100%;hei
 .stable{background:#e3f4e4;border-left:.5rem solid #2e8b3a}
 .unstable,.failed{background:#fbe5e3;border-left:.5rem solid #c0392b}
 table{border-collapse:separate;border-spacing:0;margin-top:.5rem}
-td,th{padding:.2rem .8rem;text-align:left;border-bottom:1px solid #ddd}
+td,th{padding:.2rem .8rem;text-align:left;vertical-align:top;border-bottom:1px solid #ddd}
 td.n{text-align:right;font-variant-numeric:tabular-nums}
 tr.beyond td,td.beyond{color:#c0392b;font-weight:600}
 .wide{overflow-x:auto}.wide td{white-space:nowrap}
@@ -65,6 +67,14 @@ def picture(title: str, caption: str, png: str) -> str:
 def verdict(kind: str, sentence: str, said: str | None = None) -> str:
     """The coloured line at the top: ``kind`` is stable, unstable or failed; ``said``: what is written instead of it."""
     return f'<p class="verdict {kind}"><b>{html.escape(said or kind)}</b>: {html.escape(sentence)}</p>'
+
+
+def told(lines: Iterable[str]) -> str:
+    """What a command says, a table: of each line a name in twelve columns, and its text."""
+    rows = (
+        f"<tr><td>{html.escape(line[:_NAME].strip())}</td><td>{html.escape(line[_NAME:])}</td></tr>" for line in lines
+    )
+    return f"<table>{''.join(rows)}</table>"
 
 
 def folded(summary: str, text: str) -> str:

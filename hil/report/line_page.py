@@ -198,9 +198,10 @@ def _page(found: StabilityLine, predicted: float | None, more: str) -> str:
     figure.update_xaxes(title=title, row=rows, col=1)
     figure.update_yaxes(range=[-0.05, 1.05], row=1, col=1)
     figure.update_annotations(font_size=13)
-    figure.update_layout(
-        template="plotly_white", height=300 + 190 * (rows - 1), margin={"t": 100, "r": 15, "l": 45},
-        legend={"orientation": "h", "yanchor": "bottom", "y": 1.0, "yref": "paper", "x": 0.0},
+    height = 300 + 190 * (rows - 1)
+    figure.update_layout(  # the legend between the buttons and the first title, on any screen
+        template="plotly_white", height=height, margin={"t": 100, "r": 15, "l": 45},
+        legend={"orientation": "h", "yanchor": "top", "y": 1.0 - 40 / height, "yref": "container", "x": 0.0},
     )  # fmt: skip
     config = {"responsive": True, "displaylogo": False}
     drawing = pio.to_html(figure, full_html=False, include_plotlyjs=True, config=config)

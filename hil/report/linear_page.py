@@ -16,8 +16,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from hil.lab.quantity import Quantity
-from hil.report.html import document, folded, picture, verdict
-from hil.report.margin_page import display_unit
+from hil.report.html import document, folded, picture, told, verdict
+from hil.report.margin_page import display_unit, search_end
 from hil.report.plots import encoded
 
 _FASTEST = 60.0  # 1/s: what fades faster is not drawn in the plot of growth and frequency
@@ -32,9 +32,12 @@ def sentences(record: Mapping[str, Any], quantity: Quantity | None) -> list[str]
         f"{record['memory']} of them",
         f"dominant    {_told(mode)}",
         f"converged   half the displacements move modes by {change['growth']:.2g}/s in growth, "
-        f"{change['angular_frequency']:.2g} rad/s in frequency",
+        f"{change['angular_frequency']:.2g} rad/s in frequency" + _size_told(change["scale"]),
     ]
     prediction = record.get("prediction")
+    doubt = record["doubt"] or (None if prediction is None else prediction["doubt"])
+    if doubt is not None:
+        lines.append(f"caution     {doubt}")
     if prediction is not None and quantity is not None:
         if prediction["predicted"] is not None:
             value = quantity.shown(prediction["predicted"])
@@ -45,9 +48,13 @@ def sentences(record: Mapping[str, Any], quantity: Quantity | None) -> list[str]
         elif prediction["mode"] is not None:
             lines.append(f"predicted   none: unstable from the start, by {_told(prediction['mode'])}")
         else:
-            furthest = quantity.shown(prediction["path"][-1]["value"])
-            lines.append(f"predicted   none: the linear loop is stable up to {furthest}, where the search ended")
+            furthest = quantity.shown(prediction["furthest"])
+            lines.append(f"predicted   none: the linear loop is stable up to {furthest}, {search_end(prediction)}")
     return lines
+
+
+def _size_told(scale: float) -> str:
+    return "" if scale == 1.0 else f"; displacements of {scale:g} of their usual size leave least noise"
 
 
 def _told(mode: Mapping[str, Any]) -> str:
@@ -140,16 +147,15 @@ def write_linear(directory: Path, record: Mapping[str, Any], quantity: Quantity 
         pictures += picture(f"Along {quantity.key}", caption, encoded(figure))
     rows = "".join(
         f"<tr><td class=n>{mode['growth']:.2f}</td><td class=n>{mode['frequency']:.2f}</td>"
-        f"<td class=n>{mode['damping']:.3f}</td><td>"
+        f"<td class=n>{mode['damping']:.3f}</td><td class=text>"
         + html.escape(", ".join(f"{n} {100 * s:.0f} %" for n, s in list(mode["participation"].items())[:5]))
         + "</td></tr>"
         for mode in record["modes"][:_ROWS]
     )
     stable = record["growth"] < 0.0
-    found = html.escape("\n".join(sentences(record, quantity)))
     body = f"""{verdict("stable" if stable else "unstable", "the linear loop at " + f"{record['at']:g} s")}
 <p>{html.escape(record["scenario"])} without dry friction, noise and rounding.</p>
-<pre>{found}</pre>
+{told(sentences(record, quantity))}
 {pictures}
 <h2>Modes</h2>
 <div class=wide><table><tr><th>growth [1/s]<th>frequency [Hz]<th>damping ratio<th>takes part</tr>{rows}</table></div>

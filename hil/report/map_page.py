@@ -26,6 +26,7 @@ _BOUNDARY: dict[str, Any] = {"color": "k", "linewidth": 1.6}
 _BAND: dict[str, Any] = {"color": "k", "linewidth": 0.9, "linestyle": ":"}
 _PREDICTED: dict[str, Any] = {"color": "tab:purple", "linestyle": "--", "linewidth": 2.0, "marker": "o",
                               "markersize": 4}  # fmt: skip
+_TICKS = 12  # values of an axis that are all written
 _SURE = 0.99  # of ±1: the band's edges run through the last places that are decided
 Curve = Sequence[tuple[float, float]]  # points of a boundary, SI
 
@@ -92,6 +93,18 @@ def _draw(found: StabilityMap, predicted: Sequence[Curve]) -> tuple[Any, list[np
     axes.set(xlabel=x_label, ylabel=y_label, title=f"{found.scenario}: stability")
     figure.legend(fontsize=8, loc="outside lower center", ncols=2)
     return figure, [c / (x_scale, y_scale) for c in boundary], [c / (x_scale, y_scale) for c in band]
+
+
+def _scale(values: np.ndarray, log: bool) -> dict[str, Any]:
+    """Of an axis of the page. A logarithmic one is labelled with whole numbers: Plotly's own are digits without their
+    decade."""
+    if not log:
+        return {"type": "linear"}
+    decades = np.arange(np.floor(np.log10(values.min())), np.ceil(np.log10(values.max())) + 1.0)
+    ticks = np.unique(values)
+    if len(ticks) > _TICKS:
+        ticks = np.outer(10.0**decades, (1.0, 2.0, 5.0)).ravel()
+    return {"type": "log", "tickvals": ticks, "ticktext": [f"{tick:.3g}" for tick in ticks]}
 
 
 def _inside(found: StabilityMap) -> bool:
@@ -176,8 +189,8 @@ def _page(
             name="the scenario's own values",
             marker={"symbol": "star", "size": 16, "color": "white", "line": {"color": "black", "width": 1.5}},
         )  # fmt: skip
-    figure.update_xaxes(title=x_label, type="log" if found.x_log else "linear")
-    figure.update_yaxes(title=y_label, type="log" if found.y_log else "linear")
+    figure.update_xaxes(title=x_label, **_scale(x, found.x_log))
+    figure.update_yaxes(title=y_label, **_scale(y, found.y_log))
     figure.update_layout(template="plotly_white", legend={"orientation": "h", "y": -0.2}, height=560,
                          margin={"t": 45, "r": 10, "l": 45})  # fmt: skip
     config = {"responsive": True, "displaylogo": False}

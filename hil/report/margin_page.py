@@ -16,11 +16,9 @@ import matplotlib.pyplot as plt
 from hil.lab.kept import STABLE, UNSTABLE, section
 from hil.lab.margin import boundary_pair
 from hil.lab.quantity import Quantity
-from hil.report.html import document, folded, picture
+from hil.report.html import document, folded, picture, told
 from hil.report.plots import encoded
 from hil.scenario import to_toml
-
-_NAME = 12  # characters before the text of a line
 
 
 def sentences(result: Mapping[str, Any], quantity: Quantity) -> list[str]:
@@ -53,9 +51,25 @@ def sentences(result: Mapping[str, Any], quantity: Quantity) -> list[str]:
         lines.append(f"            {result['unstable_at_start']} of them unstable from the start")
     if result.get("predicted") is not None:
         lines.append(f"predicted   {shown(result['predicted'])}, of the linear loop")
+    elif "predicted" in result:
+        lines.append(f"predicted   none: the linear loop is {_unpredicted(result['linear'], quantity)}")
+    if result.get("doubt") is not None:
+        lines.append(f"            {result['doubt']}")
     if result.get("parting") is not None:
         lines.append(f"            {result['parting']}")
     return lines
+
+
+def _unpredicted(linear: Mapping[str, Any], quantity: Quantity) -> str:
+    """Why a search of the linear loop's boundary found none."""
+    if linear["mode"] is not None:
+        return "unstable from the start"
+    return f"stable up to {quantity.shown(linear['furthest'])}, {search_end(linear)}"
+
+
+def search_end(linear: Mapping[str, Any]) -> str:
+    """Why a prediction that found no boundary looked no further."""
+    return "where the search ended" if linear["refused"] is None else f"no further looked at: {linear['refused']}"
 
 
 def _of_seed(seed: Mapping[str, Any], quantity: Quantity) -> str:
@@ -113,12 +127,8 @@ def write_margin(directory: Path, result: Mapping[str, Any], quantity: Quantity)
         f"<td>{'stable' if run['stable'] else 'unstable'}</td><td class=text>{html.escape(run['reason'])}</td></tr>"
         for seed in result["per_seed"] for run in sorted(seed["tried"], key=lambda run: run["value"])
     )  # fmt: skip
-    found = "".join(
-        f"<tr><td>{html.escape(line[:_NAME].strip())}</td><td>{html.escape(line[_NAME:])}</td></tr>"
-        for line in sentences(result, quantity)
-    )
     pair = boundary_pair(result, quantity)
-    told = (
+    sides = (
         {}
         if pair is None
         else {
@@ -128,8 +138,8 @@ def write_margin(directory: Path, result: Mapping[str, Any], quantity: Quantity)
     )
     numbers = {name: value for name, value in result.items() if name != "configuration"}
     body = f"""<p>{html.escape(result["scenario"])}{when}; nominal {quantity.shown(quantity.nominal)}</p>
-<table>{found}</table>
-{section(directory, told)}
+{told(sentences(result, quantity))}
+{section(directory, sides)}
 {picture("Every run", "Bisection: each seed is tried where its own boundary was not yet known.", encoded(figure))}
 <div class=wide><table><tr><th>seed<th>{html.escape(quantity.key)}<th>verdict<th>reason</tr>{rows}</table></div>
 {folded("Exact configuration, a scenario file", to_toml(result["configuration"]))}

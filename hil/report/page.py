@@ -70,12 +70,14 @@ def write_report(
     from hil.analysis.bus_statistics import statistics_table
     from hil.report.last_seconds import draw_last_seconds
     from hil.report.plots import draw
+    from hil.report.stepping import draw_stepping
     from hil.scenario import to_toml
 
     injected = _faults(record["configuration"])
     injected += [f"{i['key']} = {i['value']} from {i['time_s']:.3f} s on" for i in record["injected"]]
     items = "".join(f"<li>{html.escape(text)}</li>" for text in injected) or "<li>nothing</li>"
     plots = "".join(picture(*plot) for plot in draw(record, tables, directory))
+    plots += "".join(picture(*plot) for plot in draw_stepping(record, tables))
     robot = description.load(record["configuration"]["robot"])
     plots += "".join(picture(*plot) for plot in draw_last_seconds(directory, tables, robot))
     title = f"{record['scenario']}, seed {record['seed']}"

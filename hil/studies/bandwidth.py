@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -102,10 +103,10 @@ def torque_bandwidths(scenario: Scenario, factors: Sequence[float], key: str = T
 
 def limits(answers: Answers) -> np.ndarray:
     """Largest stable value of a predicted part: infinite where none was found, 0 where the start was not stable; NaN
-    where the robot does not stand."""
+    where the robot does not stand or the linear loop is not to be trusted."""
     rows = answers.rows
     return np.array([
-        math.nan if row["refused"] else row["value"] if row["value"] is not None
+        math.nan if row["refused"] or row.get("doubt") else row["value"] if row["value"] is not None
         else 0.0 if row["unstable_at_start"] else math.inf
         for row in rows
     ])  # fmt: skip
@@ -134,6 +135,8 @@ def trade(bandwidths: np.ndarray, reached: np.ndarray) -> tuple[Verdict, str]:
     course = ", ".join(f"×{b:.2f} at {a:.0f} Hz" for a, b in zip(x[::-1], y[::-1], strict=True))
     nowhere = ", ".join(f"{a:.0f} Hz" for a in bandwidths[reached == 0.0][::-1])
     course += f" (none at {nowhere})" if nowhere else ""
+    unknown = ", ".join(f"{a:.0f} Hz" for a in bandwidths[np.isnan(reached)][::-1])
+    course += f" (not known at {unknown})" if unknown else ""
     if rises and not falls:
         return "holds", f"{course}: it rises by {100 * gained:.0f} % as the torque bandwidth falls"
     if rises:
@@ -146,7 +149,7 @@ def trade(bandwidths: np.ndarray, reached: np.ndarray) -> tuple[Verdict, str]:
 
 def _shown(limit: float, far: str = "beyond the search") -> str:
     if math.isnan(limit):
-        return "does not stand"
+        return "–"
     return far if math.isinf(limit) else "none" if limit == 0.0 else f"×{limit:.2f}"
 
 
@@ -168,9 +171,10 @@ def _torque_against_position(found: Mapping[str, Answers]) -> Findings:
     )  # fmt: skip
     tables = (table, *_all_gains(found))
     told = [(*trade(hertz, line), f"Predicted, {_LINES[name]}") for name, line in lines.items()]
+    whole = [np.isfinite(line).all() for line in lines.values()]  # what is not known in part cannot tell
     claim = Claim(
         "A lower bandwidth of the torque loops lets the bandwidth of the position loop rise.",
-        told[0][0],
+        told[whole.index(True) if any(whole) else 0][0],
         (*(f"{who}: {numbers}." for _, numbers, who in told),
          *(f"{text[0].upper()}{text[1:]}: {trade(hertz, line)[1]}." for text, line in of_runs.items())),
     )  # fmt: skip
@@ -204,8 +208,14 @@ def _all_gains(found: Mapping[str, Answers]) -> tuple[Table, ...]:
     return (Table("The same, when the damping of the motor is scaled with the feedback of the torque", head, rows),)
 
 
+def _damped(row: Mapping[str, Any]) -> str:
+    return f"{row['damping']:.3f}{'' if row.get('doubt') is None else ' (not to be trusted)'}"
+
+
 def _by(row: Mapping[str, object]) -> str:
-    if row["refused"] or row.get("mode") is None:
+    if row["refused"] or row.get("doubt"):
+        return str(row["refused"] or row.get("doubt"))
+    if row.get("mode") is None:
         return "–"
     return f"{row['frequency']:.1f} Hz: {row['mode']}"
 
@@ -309,7 +319,7 @@ def _latency(found: Mapping[str, Answers]) -> Findings:
     damping = answers.grid("damping")
     ends = [zero_crossing(delays, column) for column in damping.T]
     rows = tuple(
-        (f"×{gain:g}", *(f"{value:.3f}" for value in damping[:, m]),
+        (f"×{gain:g}", *(_damped(answers.rows[n * len(gains) + m]) for n in range(len(delays))),
          f"beyond {delays[-1]:g} ms" if math.isinf(ends[m]) else f"{ends[m]:.1f} ms",
          *(_by(answers.rows[n * len(gains) + m]) for n in (0, len(delays) - 1)))
         for m, gain in enumerate(gains)

@@ -48,7 +48,9 @@ def agreement(
     index = [q.key for q in found.quantities].index(along.key)
     low, high = min(start, end), max(start, end)
     inside = sorted((p for p in row if low <= float(p[index]) <= high), key=lambda p: abs(float(p[index]) - start))
-    measured, spacing, reasons, why = None, 0.0, [], ""
+    measured, spacing, why = None, 0.0, ""
+    reasons: list[str] = []
+    first: list[str] = []
     if not inside:
         why = "no run"
     elif found.share(inside[0]) < 0.5:
@@ -59,7 +61,7 @@ def agreement(
         if crossed:
             measured, before = crossed[0]
             spacing = abs(values[before + 1] - values[before])
-            reasons = [found.reason(inside[before + 1])]
+            reasons, first = [found.reason(inside[before + 1])], found.came_first(inside[before + 1])
         else:
             why = f"stable up to {along.shown(inside[-1][index])}, where the sweep ends"
     if point.value is None or measured is None:
@@ -70,8 +72,10 @@ def agreement(
             sentence += f": {STICTION}"
     else:
         search = Search(found.scenario, along, found.at, start, end)
-        apart = parting(search, Prediction(point.value, None, ()), measured, reasons, spacing)
+        apart = parting(search, Prediction(point.value, None, ()), measured, reasons, first, spacing)
         sentence = apart or "the same, as far as the distance of the runs tells"
         if apart and reasons[0] not in apart:
             sentence += f"; it ends by: {reasons[0]}"
+    if point.doubt is not None:
+        sentence = f"the prediction is {point.doubt}; {sentence}"
     return Agreement(point.across if across else None, measured, point.value, point.mode, point.frequency, sentence)

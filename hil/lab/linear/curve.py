@@ -28,7 +28,8 @@ Loop = Callable[[float], Linearisation]  # the linearised loop at a value of the
 @dataclass(frozen=True)
 class Critical:
     """across: the value of the other quantity. value: where the loop becomes unstable along the one; None if it does
-    not, and then why; nowhere: because it is unstable from the start. frequency [Hz], mode: of what grows there."""
+    not, and then why; nowhere: because it is unstable from the start. frequency [Hz], mode: of what grows there. doubt:
+    why the loop there is not to be trusted, if it is not."""
 
     across: float
     value: float | None
@@ -36,6 +37,7 @@ class Critical:
     frequency: float | None = None
     mode: str = ""
     nowhere: bool = False
+    doubt: str | None = None
 
 
 @dataclass(frozen=True)
@@ -158,7 +160,7 @@ def critical(
     grown = loop(outer).dominant
     near = loop(value)
     mode = near.dominant if near.growth >= 0.0 else near.like(grown)
-    return Critical(across, value, "", mode.frequency, mode.told())
+    return Critical(across, value, "", mode.frequency, mode.told(), doubt=near.doubt())
 
 
 def _bracket(

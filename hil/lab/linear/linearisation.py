@@ -20,6 +20,11 @@ _TAIL = 4  # periods at the end in which nothing new can arrive
 _ABOVE_NOISE = 1.5
 _OSCILLATES, _MATTERS = 0.5, 30.0  # Hz, 1/s
 _SHARE = 0.04  # smallest participation worth telling
+# Of the displacements' usual sizes, tried one after the other: with stiff tasks these would lift a foot, much smaller
+# ones are lost in the rounding of the messages. Either shows as noise.
+SCALES = (1.0, 0.5, 0.25, 0.1, 0.05)
+_CLEAN = 0.05  # noise with which no other scale is tried
+_DOUBTFUL = 1.0  # noise as large as the displacements themselves
 
 
 @dataclass(frozen=True)
@@ -61,24 +66,41 @@ class Mode:
 @dataclass(frozen=True)
 class Linearisation:
     """names: of the states. sizes: their units in ``model``. noise: of the identified matrices' entries in these units,
-    what rounding and curvature leave. memory: periods for which something is under way."""
+    what rounding and curvature leave. memory: periods for which something is under way. scale: of the displacements."""
 
     model: DelayModel
     names: tuple[str, ...]
     sizes: Array
     noise: float
     memory: int
+    scale: float = 1.0
+
+    @classmethod
+    def cleanest(cls, section: Section, delay: float) -> Linearisation:
+        """``of`` displacements of that one of ``SCALES`` which leaves least noise: the first that leaves little or,
+        where it is bearable, the last before it grows again."""
+        best = cls.of(section, delay, SCALES[0])
+        for scale in SCALES[1:]:
+            if best.noise < _CLEAN:
+                break
+            found = cls.of(section, delay, scale)
+            if found.noise < best.noise:
+                best = found
+            elif best.noise < _DOUBTFUL:
+                break
+        return best
 
     @classmethod
     def of(cls, section: Section, delay: float, scale: float = 1.0) -> Linearisation:
-        """From displacements of ``section``'s states. ``delay``: longest way of data through the loop, s."""
+        """From displacements of ``section``'s states, by ``scale`` of its sizes. ``delay``: longest way of data through
+        the loop, s."""
         periods = math.ceil(delay / section.period) + 4 + _TAIL
         found = responses(section, periods, scale)
         matrices = recurrence(found)
         noise = float(np.abs(matrices[-_TAIL:]).max())
         matrices = refined(found, matrices, _ABOVE_NOISE * noise)
         model = DelayModel.of(matrices, section.period, _FLOOR)
-        return cls(model, section.names, section.sizes, noise, memory(matrices))
+        return cls(model, section.names, section.sizes, noise, memory(matrices), scale)
 
     def like(self, mode: Mode) -> Mode:
         """The mode in which the same takes part as in ``mode`` of another linearisation, at about its frequency."""
@@ -118,6 +140,18 @@ class Linearisation:
         """Of the dominant mode, 1/s: the loop is stable when it is negative."""
         return self.dominant.growth
 
+    def doubt(self, half: Linearisation | None = None) -> str | None:
+        """Why the modes are not to be trusted, in a sentence; None if they are. ``half``: the same with half of the
+        displacements."""
+        if self.noise > _DOUBTFUL:
+            left = f"a noise of {self.noise:.2g} displacements is left, whatever their size"
+            return f"not to be trusted: {left}; a foot may lift, or slip"
+        growth = self.growth if half is None else half.like(self.dominant).growth
+        if abs(growth - self.growth) > abs(self.growth):
+            told = f"half of the displacements make its growth {growth:.2g}/s instead of {self.growth:.2g}/s"
+            return f"not to be trusted about the dominant mode: {told}"
+        return None
+
     def shape(self, mode: Mode) -> Array:
         """The states' part of ``mode``'s eigenvector (n,), in the states' units; its size is arbitrary."""
         values, vectors, _ = self.model.modes()
@@ -132,6 +166,7 @@ class Linearisation:
             "growth": max(abs(a.growth - b.growth) for a, b in pairs),
             "angular_frequency": max(2.0 * math.pi * abs(a.frequency - b.frequency) for a, b in pairs),
             "noise": self.noise,
+            "scale": self.scale,
         }
 
     def record(self) -> dict[str, Any]:

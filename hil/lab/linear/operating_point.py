@@ -169,7 +169,10 @@ class OperatingPoint:
         with self.elsewhere(quantity, value) as moved:
             return moved.linearise()
 
-    def linearise(self, values: Mapping[str, Value] | None = None, scale: float = 1.0) -> Linearisation:
-        """The loop with injectable ``values`` (SI); ``scale`` of the displacements."""
+    def linearise(self, values: Mapping[str, Value] | None = None, scale: float | None = None) -> Linearisation:
+        """The loop with injectable ``values`` (SI), by displacements of ``scale`` of their usual sizes; without, of the
+        one that leaves least noise."""
         section = self.section(values)
+        if scale is None:
+            return Linearisation.cleanest(section, self.delay)
         return Linearisation.of(section, self.delay, scale)

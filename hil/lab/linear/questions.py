@@ -4,7 +4,7 @@ be spread over processes, and that go on where they were ended, like a sweep's."
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,7 +12,7 @@ from typing import Any
 from hil.errors import UserError
 from hil.lab.axes import Axis, points, written
 from hil.lab.cell_journal import Cell, CellJournal
-from hil.lab.linear.linearisation import Linearisation
+from hil.lab.linear.linearisation import SCALES, Linearisation
 from hil.lab.linear.operating_point import OperatingPoint
 from hil.lab.linear.prediction import predict
 from hil.lab.margin import Search
@@ -20,10 +20,6 @@ from hil.lab.quantity import Quantity, Value
 from hil.lab.sweep import Row, Runner
 from hil.scenario import Scenario
 
-# Of the usual displacements: with stiff tasks these would lift a foot, which shows as noise of the identified matrices
-# (more than 1); much smaller ones are lost in the rounding of the messages, which shows there too.
-_SCALES = (0.25, 0.1, 0.05)
-_CLEAN = 0.05  # noise below which no other scale is tried
 _SLOWEST, _FASTEST = 0.5, 100.0  # Hz: of oscillations; what is faster are samples that alternate
 
 
@@ -73,7 +69,7 @@ class LinearPlan:
             "scenario": self.scenario.model_dump(mode="json"),
             "axes": written(self.axes),
             "at": self.at,
-            "scales": list(_SCALES),
+            "scales": list(SCALES),
             "follow": follow and [follow.quantity.key, follow.near, follow.far, follow.resolution],
             "versions": {name: machine[name] for name in machine if name not in ("python", "platform", "compiler")},
             "machine": {name: machine[name] for name in ("python", "platform", "compiler")},
@@ -116,50 +112,28 @@ def _home(scenario: Scenario, at: float) -> OperatingPoint:
 def _answer(point: OperatingPoint, values: dict[Quantity, Value], follow: Follow | None) -> Row:
     if follow is not None:
         return boundary(point, follow)
-    return oscillation(gently(point, {q.key: value for q, value in values.items() if q.injectable}))
-
-
-def gently(point: OperatingPoint, values: Mapping[str, Value] | None = None) -> Linearisation:
-    """The loop with injectable ``values`` (SI), by displacements of the size that leaves least noise."""
-    best: Linearisation | None = None
-    for scale in _SCALES:
-        found = point.linearise(values, scale)
-        if best is None or found.noise < best.noise:
-            best = found
-        if best.noise < _CLEAN:
-            break
-    assert best is not None
-    return best
-
-
-@dataclass(frozen=True)
-class _Gently:
-    """A point (``hil.lab.linear.prediction.Point``), linearised ``gently``."""
-
-    point: OperatingPoint
-
-    def with_value(self, quantity: Quantity, value: Value) -> Linearisation:
-        with self.point.elsewhere(quantity, value) as moved:
-            return gently(moved)
+    return oscillation(point.linearise({q.key: value for q, value in values.items() if q.injectable}))
 
 
 def oscillation(loop: Linearisation) -> Row:
-    """Of the least damped oscillation: damping (ratio), frequency [Hz], growth [1/s], mode: what takes part."""
+    """Of the least damped oscillation: damping (ratio), frequency [Hz], growth [1/s], mode: what takes part. doubt: why
+    it is not to be trusted, or None."""
     waves = [m for m in loop.modes if _SLOWEST < m.frequency < _FASTEST]
     mode = min(waves, key=lambda m: m.damping)
     return {
-        "refused": None, "damping": mode.damping, "frequency": mode.frequency, "growth": mode.growth,
-        "mode": mode.told(3),
+        "refused": None, "doubt": loop.doubt(), "damping": mode.damping, "frequency": mode.frequency,
+        "growth": mode.growth, "mode": mode.told(3),
     }  # fmt: skip
 
 
 def boundary(point: OperatingPoint, follow: Follow) -> Row:
     """value: where the loop becomes unstable; None if it is stable up to the end (``unstable_at_start`` false), or not
-    even stable at the start. frequency [Hz], mode: of what grows there."""
+    even stable at the start. frequency [Hz], mode: of what grows there. doubt: why it is not to be trusted, or None."""
     search = Search(point.scenario, follow.quantity, point.at, follow.near, follow.far, follow.resolution)
-    found = predict(_Gently(point), search)
+    found = predict(point, search)
     return {
-        "refused": None, "value": found.value, "unstable_at_start": found.value is None and found.mode is not None,
+        "refused": None, "doubt": found.doubt, "value": found.value,
+        "unstable_at_start": found.value is None and found.mode is not None,
         "frequency": None if found.mode is None else found.mode.frequency,
         "mode": None if found.mode is None else found.mode.told(3),
     }  # fmt: skip

@@ -16,6 +16,7 @@ SPLIT = load("split-terrain")
 def swept(
     out: Path, axes: list[str], stable: Callable[..., bool], seeds: int = 8, sample: str | None = None,
     metrics: Callable[..., dict[str, Any]] = lambda *_: {}, scenario: Any = SPLIT,
+    at: float = 2.5,
 ) -> Path:  # fmt: skip
     """A sweep whose runs are made up: ``stable(seed, *values)``, ``metrics(seed, *values)``."""
 
@@ -29,5 +30,5 @@ def swept(
             }  # fmt: skip
 
     parsed = tuple(axis(scenario, text, sample is not None) for text in axes)
-    sweep(Plan(scenario, parsed, seeds, 2.5, sample), out, runner)
+    sweep(Plan(scenario, parsed, seeds, at, sample), out, runner)
     return out

@@ -5,6 +5,8 @@ from __future__ import annotations
 import contextlib
 import itertools
 import json
+import multiprocessing
+import os
 import random
 import signal
 import subprocess
@@ -108,6 +110,48 @@ def test_killed_at_random_and_resumed_it_gives_the_same_table(table: Path, tmp_p
     assert (out / TABLE_FILE).read_bytes() == table.read_bytes()
     lines = [json.loads(line)["cell"] for line in (out / CELLS_FILE).read_text().splitlines()]
     assert len(lines) == len({tuple(cell) for cell in lines}) == 12  # nothing lost, nothing twice
+
+
+TINY = ["sweep", "stand", "--vary", "link.command.delay=0ms..8ms:5", "--vary", "sensors.noise=0,1", "--seeds", "6",
+        "--duration", "0.1s", "--set", "controller.stand_at=0.02s", "--at", "0.05s", "--jobs", "1"]  # fmt: skip
+
+
+def swept_quietly(out: Path) -> None:
+    with open(os.devnull, "w", encoding="utf-8") as nowhere, contextlib.redirect_stdout(nowhere):
+        sys.exit(main([*TINY, "--out", str(out)]))
+
+
+def test_killed_ten_times_and_resumed_it_gives_the_same_table(tmp_path: Path) -> None:
+    """At instants of which some are while it starts, most while it runs, and some while a line is written."""
+    seed = random.randrange(2**32)
+    print(f"seed {seed}")
+    rng = random.Random(seed)
+    context = multiprocessing.get_context("forkserver")  # a process that has loaded everything: it starts at once
+    context.set_forkserver_preload(["hil.lab.sweep", "hil.lab.experiment", "tests.hil.lab.test_sweep"])
+    out = tmp_path / "out"
+    done = 0
+    for _ in range(10):
+        process = context.Process(target=swept_quietly, args=(out,))
+        process.start()
+        goal = min(done + rng.randint(0, 2), 57)
+        while cells(out) < goal and process.is_alive():
+            process.join(0.005)
+        process.join(rng.uniform(0.0, 0.15))
+        alive = process.is_alive()
+        process.kill()
+        process.join()
+        assert alive, "it ended before it was killed ten times"
+        assert cells(out) >= done
+        done = cells(out)
+    assert not (out / TABLE_FILE).exists() and 0 < done < 60
+    for directory in (out, tmp_path / "whole"):
+        process = context.Process(target=swept_quietly, args=(directory,))
+        process.start()
+        process.join()
+        assert process.exitcode == 0
+    assert (out / TABLE_FILE).read_bytes() == (tmp_path / "whole" / TABLE_FILE).read_bytes()
+    lines = [json.loads(line)["cell"] for line in (out / CELLS_FILE).read_text().splitlines()]
+    assert len(lines) == len({tuple(cell) for cell in lines}) == 60
 
 
 @pytest.fixture

@@ -32,7 +32,7 @@ def mode(natural: float, damping: float, name: str) -> Mode:
 def test_the_least_damped_oscillation_is_found_by_its_ratio_within_the_band() -> None:
     slow, wanted, fast = mode(1.0, 0.01, "slow"), mode(30.0, 0.2, "wanted"), mode(4000.0, 0.05, "fast")
     lively = mode(100.0, 0.3, "lively")
-    found = oscillation(SimpleNamespace(modes=(slow, lively, wanted, fast)))  # type: ignore[arg-type]
+    found = oscillation(SimpleNamespace(modes=(slow, lively, wanted, fast), doubt=lambda: None))  # type: ignore[arg-type]
     assert found["mode"] == "wanted 100 %"
     assert found["damping"] == pytest.approx(0.2)
 
@@ -81,9 +81,10 @@ def test_boundaries_of_loops_and_runs() -> None:
         {"refused": None, "value": None, "unstable_at_start": True},
         {"refused": None, "value": None, "unstable_at_start": False},
         {"refused": "falls"},
+        {"refused": None, "doubt": "not to be trusted", "value": 1.0, "unstable_at_start": False},
     ]
-    found = study.limits(answers(rows, joint__torque_feedback=(0.5, 1.0, 2.0, 4.0)))
-    np.testing.assert_array_equal(found, [2.0, 0.0, np.inf, np.nan])
+    found = study.limits(answers(rows, joint__torque_feedback=(0.5, 1.0, 2.0, 4.0, 8.0)))
+    np.testing.assert_array_equal(found, [2.0, 0.0, np.inf, np.nan, np.nan])
     shares = [1, 1, 0, 1, 0.5, 0, 0, 0, 0, 1, 1, 1]  # stable again beyond what is not: does not count
     runs = answers(
         [{"share": share} for share in shares],

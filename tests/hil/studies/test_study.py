@@ -11,7 +11,7 @@ from hil.errors import UserError
 from hil.lab.axes import axis
 from hil.lab.cell_journal import CELLS_FILE
 from hil.lab.linear.operating_point import OperatingPoint
-from hil.lab.linear.questions import LinearPlan, gently, oscillation
+from hil.lab.linear.questions import LinearPlan, oscillation
 from hil.lab.quantity import quantity
 from hil.lab.workers import parallel
 from hil.scenario import load
@@ -54,7 +54,7 @@ def test_loops_are_those_of_the_standing_robot(done: tuple[Path, dict[str, Answe
     scenario = load("stand", list(STANDS))
     damping = quantity(scenario, "controller.task_damping")
     with OperatingPoint(scenario, 1.2) as home, home.elsewhere(damping, 2.0) as point:
-        expected = oscillation(gently(point))
+        expected = oscillation(point.linearise())
     found = done[1]["loops"].rows[1]
     assert found == {
         key: pytest.approx(value) if isinstance(value, float) else value for key, value in expected.items()

@@ -2,16 +2,19 @@
 
 import json
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from hil.cli import main
+from hil.errors import UserError
 from hil.lab.linear.delay_model import DelayModel
 from hil.lab.linear.linearisation import Linearisation
 from hil.lab.linear.prediction import Prediction, parting, predict
 from hil.lab.margin import Search, SeedMargin, Tried
 from hil.lab.quantity import Quantity, quantity
+from hil.report.margin_page import search_end
 from hil.scenario import load
 
 PERIOD = 1e-3
@@ -67,6 +70,24 @@ def test_nothing_to_find():
     assert json.loads(json.dumps(found.record()))["predicted"] is None
 
 
+@pytest.mark.parametrize("falls_from", [0.5, 0.9, 2.5])
+def test_where_the_robot_does_not_stand_the_search_ends(falls_from):
+    """With a delay of one period the boundary is 1; it is found if the robot stands there, and else why it is not."""
+
+    def of(gain):
+        if gain >= falls_from:
+            raise UserError("does not stand")
+        return gain, 1
+
+    found = predict(Integrator(of), search(near=0.05, far=3.0, resolution=1e-4))
+    if falls_from > 1.0:
+        assert found.value == pytest.approx(1.0, abs=2e-4) and found.refused is None
+        return
+    assert (found.value, found.mode, found.refused) == (None, None, "does not stand")
+    assert falls_from - 3.0 / 16 < found.furthest < falls_from
+    assert search_end(found.record()) == "no further looked at: does not stand"
+
+
 def test_unstable_from_the_start():
     found = predict(Integrator(lambda gain: (1.5, 1)), search(near=0.1, far=3.0))
     assert found.value is None and found.mode.growth > 0.0 and len(found.steps) == 1
@@ -85,6 +106,52 @@ def test_why_they_part():
     assert "dry friction" not in told(17e-3, friction_scale=0)
 
 
+def test_saturation_is_named_where_it_came_first():
+    search = Search(load("stand", ["world.friction_scale=0"]), quantity(load("stand"), "link.command.delay"), 5.0)
+    reasons, first = ["drive in fault: left_knee, command (8900h)", "fallen"], ["saturation, left_knee"] * 2
+    for value, begins in ((6e-3, "2 ms short of"), (None, "the linear loop does not become unstable")):
+        prediction = Prediction(value, None, ())
+        told = parting(search, prediction, 4e-3, reasons, first)
+        assert told.startswith(begins) and "saturation, left_knee came first, then a drive's protection: drive" in told
+        assert "saturation" not in parting(search, prediction, 4e-3, reasons, ["slip, left_foot", *first[1:]])
+
+
+def test_a_noisy_loop_is_not_to_be_trusted():
+    noise = {1.0: 3.0, 2.0: 1e-3}
+
+    class Noisy(Integrator):
+        def with_value(self, quantity, value):
+            return replace(super().with_value(quantity, value), noise=noise[math.ceil(value)])
+
+    across = search(near=0.1, far=2.0, resolution=1e-4)
+    assert "not to be trusted: a noise of 3 " in predict(Noisy(lambda gain: (gain, 1)), across).doubt
+    noise[1.0] = 1e-3
+    assert predict(Noisy(lambda gain: (gain, 1)), across).doubt is None
+
+
+def test_the_command_warns_of_a_loop_that_is_not_to_be_trusted(monkeypatch, capsys):
+    class Noisy:
+        """In place of the standing robot."""
+
+        def __init__(self, *_):
+            pass
+
+        def __enter__(self):
+            return self
+
+        def __exit__(self, *_):
+            pass
+
+        def linearise(self, scale=None):
+            return replace(Integrator(lambda _: (0.1, 1)).with_value(None, 0.0), noise=7.0, scale=scale or 0.05)
+
+    monkeypatch.setattr("hil.lab.linear.operating_point.OperatingPoint", Noisy)
+    assert main(["linearise", "stand"]) == 0
+    told = capsys.readouterr().out
+    assert "caution     not to be trusted: a noise of 7 displacements" in told
+    assert "displacements of 0.05 of their usual size" in told
+
+
 def test_the_command(capsys, tmp_path):
     status = main([
         "linearise", "stand", "--at", "2.5s", "--of", "link.command.delay", "--range", "4ms..6ms", "--resolution",
@@ -99,7 +166,7 @@ def test_the_command(capsys, tmp_path):
     assert "controller's internal force" in list(prediction["mode"]["participation"])[:2]
     assert json.loads((tmp_path / "linearise.json").read_text(encoding="utf-8")) == record
     page = (tmp_path / "linearise.html").read_text(encoding="utf-8")
-    assert "predicted   link.command.delay" in page and page.count("data:image/png") == 2
+    assert "there the loop becomes unstable" in page and page.count("data:image/png") == 2
     assert all((tmp_path / name).stat().st_size > 10_000 for name in ("eigenvalues.png", "path.png"))
 
 
