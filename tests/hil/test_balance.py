@@ -33,6 +33,14 @@ def test_the_robot_steps_from_foot_to_foot(outcome: Any) -> None:
     assert metrics["foot_placement_error_rms"] < 0.03
 
 
+def test_it_makes_more_steps_than_the_source_reports() -> None:
+    """Kim 2018 §7.3.3: 18, unsupported."""
+    longer = stepped("duration=9s")
+    assert longer.stable, longer.reason
+    assert longer.metrics["steps"] >= 18
+    assert longer.metrics["orientation_error_max_steady"] < 0.06
+
+
 def test_a_foot_that_is_said_to_swing_is_in_the_air_and_one_that_stands_carries(outcome: Any) -> None:
     """By the physics' own contact forces."""
     controller, world = outcome.tables["controller"], outcome.tables["world"]

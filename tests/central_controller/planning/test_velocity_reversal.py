@@ -31,6 +31,16 @@ def planner(surface=Plane(HEIGHT), **config) -> VelocityReversalPlanner:
     return VelocityReversalPlanner(PlannerConfig.model_validate(config), Pendulum(surface))
 
 
+@given(state=states, far=st.floats(0.11, 5.0))
+def test_a_goal_far_away_pulls_no_harder_than_one_at_the_distance_that_counts(state: PendulumState, far: float) -> None:
+    stance, config = Foot(0.02, -0.1), {**FREE, **PROMPT, "goal_distance": "0.1m"}
+    switching = on_level(state, stance, HEIGHT, 0.2)
+    near, away = (
+        planner(**config).plan(state, stance, LEFT, 0.2, (switching.x + d, switching.y - d)).foot for d in (0.11, far)
+    )
+    assert away == pytest.approx(near, abs=1e-9)
+
+
 @given(state=states)
 def test_on_a_level_surface_the_foot_is_that_of_the_formula(state: PendulumState) -> None:
     """Kim 2018 (4.32) and the pull towards the goal that reproduces Table 7.2."""
