@@ -258,7 +258,7 @@ class Step:
         self._anchor[2] = sum(self._levels) / len(self._levels) if stance is None else self._levels[stance]
         self._stance = stance
         self._gains[:] = self._gains_of[stance is not None]
-        if self._steps:  # falling freely: 1 N sideways at this height takes 5 N from a foot that carries little yet
+        if self._steps:  # no feedback: 1 N sideways at this height takes 5 N from a foot that carries little yet
             self._gains[:, _COM_Y] = 0.0
 
     def _launch(self) -> tuple[float, float]:
@@ -302,8 +302,8 @@ class Step:
             reference[:, _COM_Y] = self._middle[1] + a * t * t / 2, a * t, a
         elif self._stance is None and self._state is State.WAITING:
             reference[0, _COM_Y] = self._middle[1]
-        else:  # it goes as it goes
-            reference[0, _COM_Y], reference[1, _COM_Y] = self._seen[_COM][1], self._seen[_COM_VELOCITY][1]
+        else:
+            reference[2, _COM_Y] = self._falling()
 
     def _refer_to_surface(self) -> None:
         """Hold the centre of mass on the planner's surface as it falls along in x: z'' = z_x x'' + z_xx x'²."""
@@ -316,6 +316,14 @@ class Step:
         foot = self._foot(1 - self._swing)
         ax, _ = self._pendulum.acceleration(PendulumState(observer.x, foot.y, observer.vx, 0.0), foot)
         reference[:, _COM_Z] = z, zx * observer.vx, zx * ax + zxx * observer.vx**2
+
+    def _falling(self) -> float:
+        """Lateral acceleration [m/s²] of the pendulum on a point midway between the feet: each carries half, also when
+        the centre of mass is not between them, and a foot that has landed is not asked to pull. 0 where y is held."""
+        if not self._stepping.gains.double_support.com_y.kp:
+            return 0.0
+        feet, y = self._seen[_FEET], float(self._seen[_COM][1])
+        return self._space.robot.gravity / self._height * (y - float(feet[1] + feet[4]) / 2)
 
     def _hold_foot(self) -> None:
         """The swing foot shall stay where it is."""
