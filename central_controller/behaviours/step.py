@@ -166,6 +166,7 @@ class Step:
         self._height = float(seen[_COM][2])
         self._ground = float(seen[_FEET][2] + seen[_FEET][5]) / 2
         self._middle = (float(seen[_COM][0]), float(seen[_COM][1]))
+        self._gains[:] = self._gains_of[False]
         self._levels = [self._ground] * len(_SIDES)
         gravity = space.robot.gravity
         surface = over_blocks(self._height, self._blocks, self._stepping.planner.ramp)
