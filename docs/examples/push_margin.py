@@ -25,17 +25,18 @@ def main() -> None:
     for seed in range(seeds):
         with Running(load("balance", ["duration=7s"]), seed) as running:
             start = running.until(AT).snapshot()
+            if not survives(running, start, np.zeros(2)):
+                print(f"seed {seed} falls without a push")
+                continue
             for name, direction in DIRECTIONS.items():
-                low, high = -RESOLUTION, LARGEST  # N; low: not even unpushed
-                if survives(running, start, 0.0 * np.array(direction)):
-                    low = 0.0
-                    while high - low > RESOLUTION:
-                        force = 0.5 * (low + high)
-                        low, high = (
-                            (force, high) if survives(running, start, force * np.array(direction)) else (low, force)
-                        )
-                told = f"{low * DURATION:.1f} N s, falls with {high * DURATION:.1f}" if low >= 0.0 else "falls unpushed"
-                print(f"seed {seed} {name:10} survives {told}", flush=True)
+                low, high = 0.0, LARGEST
+                while high - low > RESOLUTION:
+                    force = 0.5 * (low + high)
+                    if survives(running, start, force * np.array(direction)):
+                        low = force
+                    else:
+                        high = force
+                print(f"seed {seed} {name:9} survives {low * DURATION:.1f} N s, falls with {high * DURATION:.1f}")
 
 
 def survives(running: Running, start: dict, force: np.ndarray) -> bool:
