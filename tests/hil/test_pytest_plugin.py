@@ -39,6 +39,7 @@ def digest(seed: int, **settings: str) -> str:
     with tempfile.TemporaryDirectory() as directory:
         out = Path(directory) / f"run-{os.getpid()}"
         ran = command("run", "stand", f"--seed={seed}", "--backend=inline", "--json", f"--out={out}", *options)
+    assert ran.stdout, f"exit status {ran.returncode}: {ran.stderr}"
     return json.loads(ran.stdout)["log_digest"]
 
 

@@ -97,25 +97,32 @@ def test_a_second_bus_of_the_same_name_is_refused_and_the_first_goes_on(lab: tup
 def test_frames_take_their_time_and_clients_their_turn(lab: tuple[str, int], tmp_path: Path) -> None:
     """Two clients send at once: while one frame is on the wire, the others line up by identifier."""
     name, _ = lab
-    count = 20
+    count, rounds = 20, 0
     with attach(name) as low, attach(name) as high, attach(name) as listener:
-        for n in range(count):  # more than what is on the wire by the time the others start
-            low.send(message(0x700, bytes([n]) * 64))
-            high.send(message(0x100, bytes([n]) * 64))
-        heard = [receive(listener) for _ in range(2 * count)]
-        own = [receive(high) for _ in range(count)]  # of the other only
-    assert [m.arbitration_id for m in own] == [0x700] * count
-    for identifier in (0x100, 0x700):  # each in its own order
-        assert [m.data[0] for m in heard if m.arbitration_id == identifier] == list(range(count))
-    for before, after in itertools.pairwise(heard):
-        frame = Frame(after.arbitration_id, bytes(after.data))
-        least = (frame_ns(frame, **RATES) - 3000) * 1e-9  # its own intermission comes after it
-        assert after.timestamp - before.timestamp >= least + 3e-6 - 2e-9  # the one of the frame before it
-    told = status(name, tmp_path)
-    assert told["sent"] == 2 * count and told["lost"] == told["errors"] == 0
-    assert {i: c["sent"] for i, c in told["identifiers"].items()} == {"100": count, "700": count}
-    assert told["identifiers"]["700"]["wait_max_us"] > told["identifiers"]["100"]["wait_max_us"]
-    assert told["lateness"]["events"] == 2 * count and told["lateness"]["max_us"] > 0
+        while True:
+            rounds += 1
+            for n in range(count):  # more than what is on the wire by the time the others start
+                low.send(message(0x700, bytes([n]) * 64))
+                high.send(message(0x100, bytes([n]) * 64))
+            heard = [receive(listener) for _ in range(2 * count)]
+            own = [receive(high) for _ in range(count)]  # of the other only
+            assert [m.arbitration_id for m in own] == [0x700] * count
+            for identifier in (0x100, 0x700):  # each in its own order
+                assert [m.data[0] for m in heard if m.arbitration_id == identifier] == list(range(count))
+            for before, after in itertools.pairwise(heard):
+                frame = Frame(after.arbitration_id, bytes(after.data))
+                least = (frame_ns(frame, **RATES) - 3000) * 1e-9  # its own intermission comes after it
+                assert after.timestamp - before.timestamp >= least + 3e-6 - 2e-9  # the one of the frame before it
+            told = status(name, tmp_path)
+            sent = rounds * count
+            assert told["sent"] == 2 * sent and told["lost"] == told["errors"] == 0
+            assert {i: c["sent"] for i, c in told["identifiers"].items()} == {"100": sent, "700": sent}
+            waited = {i: c["wait_max_us"] for i, c in told["identifiers"].items()}
+            if waited["700"] > waited["100"]:
+                break
+            # Clients that get the processor too rarely leave no frames to line up; never so in ten rounds.
+            assert rounds < 10, waited
+    assert told["lateness"]["events"] == 2 * sent and told["lateness"]["max_us"] > 0
 
 
 def test_a_client_that_floods_waits_itself_and_loses_nothing(lab: tuple[str, int], tmp_path: Path) -> None:
