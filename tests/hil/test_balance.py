@@ -38,7 +38,6 @@ def test_it_makes_more_steps_than_the_source_reports() -> None:
     longer = stepped("duration=9s")
     assert longer.stable, longer.reason
     assert longer.metrics["steps"] >= 18
-    assert longer.metrics["orientation_error_max_steady"] < 0.06
 
 
 def test_a_foot_that_is_said_to_swing_is_in_the_air_and_one_that_stands_carries(outcome: Any) -> None:
