@@ -74,7 +74,7 @@ def test_in_the_plane_only_x_is_planned_with_the_slider_s_mass(state: PendulumSt
 
 @given(state=states)
 def test_on_a_platform_both_velocities_vanish_in_their_times(state: PendulumState) -> None:
-    plan = planner(PLATFORM, kappa_x=0, kappa_y=0, **FREE, **PROMPT).plan(
+    plan = planner(PLATFORM, kappa_x=0, kappa_y=0, integration_step="2ms", **FREE, **PROMPT).plan(
         state, Foot(0.0, -0.1), LEFT, 0.15, (0.0, 0.0), 0.0
     )
     assert plan.converged and plan.iterations <= 10
