@@ -14,7 +14,7 @@ import hil.run
 from hil.cli import main
 from hil.errors import EmulationError
 
-RUN = f"run-{os.getpid()}"  # whose name all processes of one user see: a name per process of the tests
+RUN = f"cli-{os.getpid()}"  # not run-PID, which a run without a directory has: the fuzz targets keep one open
 SHORT = ["--backend", "inline", "--duration", "0.05s"]
 
 

@@ -37,7 +37,7 @@ def command(*arguments: str) -> subprocess.CompletedProcess[str]:
 def digest(seed: int, **settings: str) -> str:
     options = [f"--set={key}={value}" for key, value in (SHORT | settings).items()]
     with tempfile.TemporaryDirectory() as directory:
-        out = Path(directory) / f"run-{os.getpid()}"
+        out = Path(directory) / f"plugin-{os.getpid()}"  # run-PID is the name of a run without a directory
         ran = command("run", "stand", f"--seed={seed}", "--backend=inline", "--json", f"--out={out}", *options)
     assert ran.stdout, f"exit status {ran.returncode}: {ran.stderr}"
     return json.loads(ran.stdout)["log_digest"]
