@@ -113,6 +113,7 @@ class Step:
         self._stood = [(0.0, 0.0)] * len(_SIDES)  # of the feet, from the centre of mass, before the first step
         self._landed_force = np.zeros(3)  # of the foot that lifts or lands, in double support
         self._planned: Plan | None = None
+        self._departed = False  # the swing foot, sideways
         self._landing = 0.0  # s, planned length
         self._steps = 0
         self._lean = (0.0, 0.0)  # acceleration, duration
@@ -207,11 +208,10 @@ class Step:
                 self._push[:] = 0.0
                 self._swing_path.lift(now, self._foot(self._swing), timing.lifting, self._step_up(now))
                 self._set_gains(self._swing, GainSet.SWING)
-                self._planned = None
+                self._planned, self._departed = None, False
                 self._enter(State.LIFTING, now)
         elif state is State.LIFTING:
-            if self._planned is None and elapsed >= self._stepping.planner.replan_at * timing.lifting:
-                self._planned = self._plan(now, timing.lifting - elapsed + timing.landing)
+            self._aim(now, elapsed)
             if elapsed >= timing.lifting:
                 assert self._planned is not None
                 self._landing = timing.landing + self._planned.extension
@@ -228,6 +228,21 @@ class Step:
         elif elapsed >= timing.dual_support:
             self._swing = 1 - self._swing
             self._unload(now)
+
+    def _aim(self, now: float, elapsed: float) -> None:
+        """Plan while the foot lifts, and once it may depart go where the newest plan says."""
+        stepping, lifting = self._stepping, self._stepping.timing.lifting
+        departs, left = elapsed >= stepping.swing.depart * lifting, lifting - elapsed + stepping.timing.landing
+        new = self._planned
+        if self._planned is None and elapsed >= stepping.planner.replan_at * lifting:
+            new = self._planned = self._plan(now, left)
+        elif self._departed:
+            return
+        elif departs and new is None:
+            new = self._plan(now, left)
+        if departs and new is not None:
+            self._swing_path.aim(now, new.foot, left + new.extension)
+            self._departed = True
 
     def _unload(self, now: float) -> None:
         """Single support from now on; the other foot still presses as in double support, and fades."""
@@ -444,7 +459,7 @@ class Step:
     )  # fmt: skip
     _PLAIN = (
         "_running", "_state", "_since", "_stance", "_swing", "_height", "_ground", "_middle", "_stood", "_planned",
-        "_landing", "_steps", "_lean", "_planner", "_pendulum",
+        "_departed", "_landing", "_steps", "_lean", "_planner", "_pendulum",
     )  # fmt: skip
 
     def snapshot(self) -> Any:

@@ -78,6 +78,8 @@ class SwingConfig(Config):
     """The swing foot's way."""
 
     height: Annotated[Metres, Positive] = 0.05  # of the lift, above the higher of the grounds that it joins
+    # Of the lifting, before the foot leaves for where a plan made then would put it: 1, at the landing only (§7.3.2)
+    depart: Annotated[float, Field(ge=0, le=1)] = 1.0
     level: Annotated[float, Field(ge=0, lt=1)] = 0.0  # share of the landing before it goes down: over an edge
     touchdown_speed: Annotated[MetresPerSecond, NotNegative] = 0.10  # downwards, when the ground is expected
     search_depth: Annotated[Metres, NotNegative] = 0.05  # how far below that a late ground is looked for

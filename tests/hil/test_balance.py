@@ -21,21 +21,21 @@ def stepped(*settings: str, backend: str = "inline") -> Any:
 
 @pytest.fixture(scope="module")
 def outcome() -> Any:
-    return stepped("duration=3.2s")
+    return stepped("duration=3.7s")
 
 
 def test_the_robot_steps_from_foot_to_foot(outcome: Any) -> None:
     assert outcome.stable, outcome.reason
     metrics = outcome.metrics
     assert metrics["steps"] >= 4
-    assert 0.3 < metrics["step_time_mean"] < 0.45
+    assert 0.335 < metrics["step_time_mean"] < 0.5  # Table 7.2, and the longest extension with a late foot
     assert metrics["orientation_error_max"] < 0.1
     assert metrics["foot_placement_error_rms"] < 0.03
 
 
 def test_it_makes_more_steps_than_the_source_reports() -> None:
     """Kim 2018 §7.3.3: 18, unsupported."""
-    longer = stepped("duration=9s")
+    longer = stepped("duration=10s")
     assert longer.stable, longer.reason
     assert longer.metrics["steps"] >= 18
 
@@ -51,6 +51,22 @@ def test_a_foot_that_is_said_to_swing_is_in_the_air_and_one_that_stands_carries(
         assert np.abs(world[f"contact.{foot}.z"][rows][swings]).max() == 0.0
         assert np.abs(world[f"contact.{other}.z"][rows][swings]).min() > 50.0
     assert len(touch_downs(controller)) >= 4
+
+
+def test_the_swing_foot_is_on_its_way_while_it_rises(outcome: Any) -> None:
+    """As swing.depart has it, without a jump when the plan changes."""
+    controller = outcome.tables["controller"]
+    reference = np.stack([controller[f"swing_reference.{axis}"] for axis in "xy"], axis=1)
+    plan = np.stack([controller[f"plan.foot.{axis}"] for axis in "xy"], axis=1)
+    lifting = controller["state"] == State.LIFTING
+    starts = np.flatnonzero(np.diff(lifting.astype(int)) == 1) + 1
+    ends = np.flatnonzero(np.diff(lifting.astype(int)) == -1)
+    gone = [np.linalg.norm(reference[b] - reference[a]) / np.linalg.norm(plan[b] - reference[a])
+            for a, b in zip(starts, ends, strict=False)]  # fmt: skip
+    assert len(gone) >= 4
+    assert 0.3 < min(gone) and max(gone) < 0.7  # of the way: 0.48 for a cubic that is never planned anew
+    swinging = lifting & np.roll(lifting, 1)
+    assert np.abs(np.diff(reference, axis=0, prepend=reference[:1])[swinging]).max() < 0.004  # m per tick
 
 
 def test_the_planner_reads_the_velocity_of_the_centre_of_mass(outcome: Any) -> None:

@@ -63,6 +63,23 @@ def test_late_ground_is_looked_for_slowly_and_not_for_ever() -> None:
     assert for_ever == pytest.approx((TARGET.x, TARGET.y, TARGET.z - CONFIG.search_depth, *[0.0] * 6))
 
 
+def test_while_it_rises_it_may_go_across() -> None:
+    """To the target as a whole, by a cubic of its own; the height does not know of it."""
+    straight, swing = lifted(), lifted()
+    aimed = 1.0 + 0.3 * TIMING.lifting
+    landing, end = 1.0 + TIMING.lifting, 1.0 + TIMING.lifting + TIMING.landing
+    swing.aim(aimed, TARGET, end - aimed)
+    for t in np.linspace(1.0, landing, 9):
+        assert swing.at(t)[2::3] == straight.at(t)[2::3]
+    whole = TARGET.x - START.x
+    middle = swing.at((aimed + end) / 2)  # by symmetry half way, at 3/2 of the mean speed
+    assert (middle[0] - START.x, middle[3]) == pytest.approx((whole / 2, 1.5 * whole / (end - aimed)))
+    before = swing.at(landing)
+    swing.land(landing, TARGET, TIMING.landing)
+    assert swing.at(landing)[:6] == pytest.approx(before[:6], abs=1e-12)
+    assert swing.at(end - 1e-12)[:3] == pytest.approx(TARGET, abs=1e-9)
+
+
 @given(again=st.floats(0.0, 0.14), x=st.floats(-0.3, 0.3), y=st.floats(0.0, 0.4))
 def test_planning_again_does_not_jump(again: float, x: float, y: float) -> None:
     swing = lifted()
