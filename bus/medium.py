@@ -113,10 +113,10 @@ class Medium:
         self.dropped = 0  # given up: in one-shot mode, or withdrawn
         self.collisions = 0  # attempts of several ports with the same identifier
         self.longest_wait_ns = 0
-        self._next = NEVER
+        self.next_ns = NEVER  # when ``advance`` has something to do; NEVER: the bus is idle, nothing is under way
 
     def _schedule(self) -> None:
-        """Set ``_next``."""
+        """Set ``next_ns``."""
         raise NotImplementedError
 
     # --- frames that got through --------------------------------------------------------------------------------
@@ -299,7 +299,7 @@ class Medium:
 
     _PLAIN = (
         "_order", "_free_at", "_sending", "_jammed_since", "busy_ns", "sent", "lost", "errors", "refused", "dropped",
-        "collisions", "longest_wait_ns", "_next",
+        "collisions", "longest_wait_ns", "next_ns",
     )  # fmt: skip
 
     def snapshot(self) -> dict[str, Any]:

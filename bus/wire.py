@@ -24,7 +24,7 @@ __all__ = ["QUEUE", "Delivery", "PartialDelivery", "PortState", "Traffic", "Wait
 
 
 class Wire(FaultyMedium):
-    """One bus with ``ports`` ports. Event driven: ``next_time`` tells when ``advance`` has something to do.
+    """One bus with ``ports`` ports. Event driven: ``next_ns`` tells when ``advance`` has something to do.
 
     A frame that is offered while the bus is idle takes part in the arbitration of that instant, together with
     all others offered at the same time: the calendar offers first and advances then. The end of a frame is
@@ -50,13 +50,9 @@ class Wire(FaultyMedium):
         heapq.heappush(self._waiting, entry)
         if self._sending is None:
             start = now_ns if now_ns > self._free_at else self._free_at
-            if start < self._next:
-                self._next = start
+            if start < self.next_ns:
+                self.next_ns = start
         return True
-
-    def next_time(self) -> int:
-        """Time of the next event, ns; NEVER when the bus is idle and nothing is under way."""
-        return self._next
 
     def advance(self, now_ns: int) -> list[Delivery]:
         """Process what happens at ``now_ns``: a frame's end, delayed deliveries, the next frame's start."""
@@ -123,4 +119,4 @@ class Wire(FaultyMedium):
             upcoming = self._line.next_ns
         if self._foretold and self._foretold[0][0] < upcoming:
             upcoming = self._foretold[0][0]
-        self._next = upcoming
+        self.next_ns = upcoming
