@@ -70,7 +70,8 @@ class Controller:
         self._config = config
         if robot.imu is None:
             raise ValueError(f"{robot.name} has no IMU to control it by")
-        self._imu = robot.imu
+        self._resolution = imu.resolutions(robot.imu)
+        self._motion = np.zeros(6)  # of the IMU: gyro, force
         names = robot.joint_names
         self._joint_of = {messages.STATE + joint.node_id: names.index(joint.name) for joint in robot.joints}
         self._buses = [[names.index(name) for name in bus.joints] for bus in robot.buses]
@@ -80,7 +81,7 @@ class Controller:
         # the memory that the compiled functions work in
         model = self._model = RobotModel(robot)
         self._space = space = Workspace(
-            robot, config, model, counts=np.zeros(3 * n), gyro=np.zeros(3), force=np.zeros(3),
+            robot, config, model, counts=np.zeros(3 * n), gyro=self._motion[:3], force=self._motion[3:],
             contacts=np.zeros(len(robot.feet)), q=np.zeros(model.nq), v=np.zeros(model.nv),
         )  # fmt: skip
         self._behaviour: Behaviour = BEHAVIOURS[config.behaviour](space, compile)
@@ -126,7 +127,7 @@ class Controller:
         Malformed ones are counted."""
         if source == IMU_SOURCE:
             try:
-                self._space.gyro[:], self._space.force[:] = imu.decode(data, self._imu)
+                self._motion[:] = imu.unpack(data, self._resolution)
             except ValueError:
                 self._malformed += 1
             else:
