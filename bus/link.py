@@ -38,6 +38,14 @@ class Link:
         elif self._impairment.damaged_at(bits) is not None or not self.line.send(now_ns, item):
             self.lost += 1
 
+    def at_once(self) -> bool:
+        """Whether what is sent arrives at once, with nothing under way before it. If so it is counted here, and the
+        caller may pass it on himself."""
+        if self._impairment.clean and self.line.next_ns == NEVER:
+            self.sent += 1
+            return True
+        return False
+
     @property
     def next_ns(self) -> int:
         """When the next sample arrives, ns; NEVER when none is under way."""

@@ -112,7 +112,6 @@ class Medium:
         self.refused = 0  # offered to a full transmit queue
         self.dropped = 0  # given up: in one-shot mode, or withdrawn
         self.collisions = 0  # attempts of several ports with the same identifier
-        self.longest_wait_ns = 0
         self.next_ns = NEVER  # when ``advance`` has something to do; NEVER: the bus is idle, nothing is under way
 
     def _schedule(self) -> None:
@@ -128,8 +127,6 @@ class Medium:
         self._queued[port] -= 1
         if self._behind[port]:
             heapq.heappush(self._waiting, self._behind[port].popleft())
-        if wait > self.longest_wait_ns:
-            self.longest_wait_ns = wait
         key = (frame[0], frame[4])  # identifier, extended: by index, twice as fast
         traffic = self._traffic.get(key)
         if traffic is None:
@@ -299,7 +296,7 @@ class Medium:
 
     _PLAIN = (
         "_order", "_free_at", "_sending", "_jammed_since", "busy_ns", "sent", "lost", "errors", "refused", "dropped",
-        "collisions", "longest_wait_ns", "next_ns",
+        "collisions", "next_ns",
     )  # fmt: skip
 
     def snapshot(self) -> dict[str, Any]:

@@ -170,11 +170,9 @@ class System:
         """
         faults, wires = self.faults, self.wires
         states, commands, cameras = self.state_link.line, self.command_link.line, self.motion_capture_link.line
+        own = self._next_own()
         while self.stop_reason is None:
-            now = min(
-                self._isr_ns, self._control_ns, self._reply_ns, self._exposure_ns, faults.next_ns,
-                states.next_ns, commands.next_ns, cameras.next_ns,
-            )  # fmt: skip
+            now = min(own, states.next_ns, commands.next_ns, cameras.next_ns, faults.next_ns)
             for wire in wires:
                 if wire.next_ns < now:
                     now = wire.next_ns
@@ -193,15 +191,24 @@ class System:
                 self._forward(now, commands.pop_due(now))
             if cameras.next_ns == now:
                 self._receive(cameras.pop_due(now))
-            if self._exposure_ns == now:
-                self._expose(now)
-            if self._isr_ns == now:
-                self.clock.wait_until(now)
-                self._tick_joints(now)
-            if self._reply_ns == now:
-                self._finish_control(now)
-            if self._control_ns == now:
-                self._start_control(now)
+            if own == now:
+                self._tick(now)
+                own = self._next_own()
+
+    def _next_own(self) -> int:
+        """When ``_tick`` has something to do, which nothing else changes."""
+        return min(self._isr_ns, self._control_ns, self._reply_ns, self._exposure_ns)
+
+    def _tick(self, now: int) -> None:
+        if self._exposure_ns == now:
+            self._expose(now)
+        if self._isr_ns == now:
+            self.clock.wait_until(now)
+            self._tick_joints(now)
+        if self._reply_ns == now:
+            self._finish_control(now)
+        if self._control_ns == now:
+            self._start_control(now)
 
     def _receive(self, arrived: list[tuple[int, Item]]) -> None:
         """What the controller shall find at its next tick."""
@@ -243,7 +250,10 @@ class System:
         if sender != GATEWAY_PORT and not missed >> GATEWAY_PORT & 1:
             item = self.gateway.from_can(now, b, frame)
             if item is not None:
-                self.state_link.send(now, item, 8 * len(data))
+                if self.state_link.at_once():
+                    self._arrived.append((now, *item))
+                else:
+                    self.state_link.send(now, item, 8 * len(data))
                 if can_id & 0x780 == messages.STATE and type(data) is bytes:
                     self.observer.note_state(b, sender, data)
 
