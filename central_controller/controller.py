@@ -13,7 +13,7 @@ import numpy as np
 
 from bus import messages
 from bus.messages import Controlword, GainSet, Mode, Setpoint, Slot, State, Statusword
-from central_controller.behaviours import BEHAVIOURS
+from central_controller.behaviours import behaviour_class
 from central_controller.behaviours.behaviour import Behaviour, Phase, Workspace
 from central_controller.binding import Bound, items
 from central_controller.config import ControllerConfig
@@ -50,7 +50,7 @@ def telemetry_fields(robot: Robot, config: ControllerConfig) -> list[str]:
     """Names of the controller's telemetry, in order."""
     orientation = FIELDS if config.orientation == "motion_capture" else ()
     touch = contact.fields(robot) if config.contact != "switch" else ()
-    return [*BEHAVIOURS[config.behaviour].fields(robot), *orientation, *touch, *_NODE_FIELDS]
+    return [*behaviour_class(config.behaviour).fields(robot), *orientation, *touch, *_NODE_FIELDS]
 
 
 def _identity(function: ca.Function) -> ca.Function:
@@ -85,7 +85,7 @@ class Controller:
             robot, config, model, counts=np.zeros(3 * n), gyro=self._motion[:3], force=self._motion[3:],
             contacts=np.zeros(len(robot.feet)), q=np.zeros(model.nq), v=np.zeros(model.nv),
         )  # fmt: skip
-        self._behaviour: Behaviour = BEHAVIOURS[config.behaviour](space, compile)
+        self._behaviour: Behaviour = behaviour_class(config.behaviour)(space, compile)
         self._memory = self._behaviour.memory
         self._memory[ORIENTATION] = self._hanging.quaternion
         self.telemetry = np.zeros(len(telemetry_fields(robot, config)))
