@@ -40,35 +40,12 @@ class PortState(NamedTuple):
 
 
 class Delivery(NamedTuple):
-    """A frame that reaches every port but its sender's at ``time`` ns."""
+    """A frame that reaches the ports of a bus at ``time`` ns, all but its sender's and those that ``missed`` it."""
 
     time: int
     sender: int
     frame: Frame
-
-    @property
-    def missed(self) -> int:
-        """A bit mask: bit n is set for a port n that it does not reach, see PartialDelivery."""
-        return 0
-
-
-class PartialDelivery(Delivery):
-    """A frame that does not reach all ports: some are cut, bus off, or have seen an error in it."""
-
-    _missed = 0
-
-    @property
-    def missed(self) -> int:
-        return self._missed
-
-    @classmethod
-    def of(cls, time: int, sender: int, frame: Frame, missed: int) -> Delivery:
-        """A delivery, partial only when ``missed`` is not zero."""
-        if not missed:
-            return Delivery(time, sender, frame)
-        one = cls(time, sender, frame)
-        one._missed = missed
-        return one
+    missed: int = 0  # bit n is set for a port n that is cut or bus off, or has seen an error in the frame
 
 
 def _changed(delivery: Delivery, change: Callable[[bytes], bytes]) -> Delivery:
@@ -76,7 +53,7 @@ def _changed(delivery: Delivery, change: Callable[[bytes], bytes]) -> Delivery:
     data = change(frame.data)
     if data is frame.data:
         return delivery
-    return PartialDelivery.of(delivery.time, delivery.sender, frame._replace(data=data), delivery.missed)
+    return delivery._replace(frame=frame._replace(data=data))
 
 
 class Medium:
@@ -144,7 +121,7 @@ class Medium:
 
     def _arrived(self, now_ns: int) -> list[Delivery]:
         """The impaired deliveries that are due."""
-        return [PartialDelivery.of(at, d.sender, d.frame, d.missed) for at, d in self._line.pop_due(now_ns)]
+        return [delivery._replace(time=at) for at, delivery in self._line.pop_due(now_ns)]
 
     # --- attempts that may fail ---------------------------------------------------------------------------------
 
@@ -208,7 +185,7 @@ class Medium:
                 self._traffic_of(entry[4]).retransmitted += 1
             self._withdrawn.discard(entry[2])
         if outcome.frame is not None:
-            self._deliver(PartialDelivery.of(now_ns, outcome.sender, outcome.frame, outcome.missed), delivered)
+            self._deliver(Delivery(now_ns, outcome.sender, outcome.frame, outcome.missed), delivered)
         if outcome.jammed:
             self._jammed_since, self._free_at = outcome.idle, NEVER
 

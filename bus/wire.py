@@ -15,12 +15,12 @@ import heapq
 
 from bus.frames import Frame
 from bus.link import NEVER
-from bus.medium import QUEUE, Delivery, Entry, PartialDelivery, PortState
+from bus.medium import QUEUE, Delivery, Entry, PortState
 from bus.timing import INTERMISSION, TAIL, contender
 from bus.traffic import Traffic, Wait
 from bus.wire_faults import FaultyMedium
 
-__all__ = ["QUEUE", "Delivery", "PartialDelivery", "PortState", "Traffic", "Wait", "Wire"]
+__all__ = ["QUEUE", "Delivery", "PortState", "Traffic", "Wait", "Wire"]
 
 
 class Wire(FaultyMedium):

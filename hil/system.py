@@ -227,9 +227,8 @@ class System:
             self.wires[bus].offer(now, GATEWAY_PORT, frame)
 
     def _advance(self, b: int, wire: Wire, now: int) -> None:
-        for delivery in wire.advance(now):
-            _, sender, frame = delivery
-            self._deliver(b, now, sender, frame, delivery.missed)
+        for _, sender, frame, missed in wire.advance(now):
+            self._deliver(b, now, sender, frame, missed)
         for at, port, error in wire.error_frames():
             self._note_error(b, at, port, error)
 

@@ -7,7 +7,9 @@ state that the pendulum observer tells.
 from __future__ import annotations
 
 import math
+import struct
 from enum import IntEnum
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -90,6 +92,8 @@ class Step:
         self._anchor, self._push = np.zeros(3), np.zeros(3)
         self._integral, self._integral_next = np.zeros(8), np.zeros(8)
         self._reference, self._gains = np.zeros((3, 8), order="F"), np.zeros((3, 8), order="F")
+        columns = self._reference.T.reshape(-1)  # of the same memory
+        self._refer_foot = partial(struct.Struct("9d").pack_into, columns.data, columns.itemsize * 3 * _FOOT)
         self._integrate = np.zeros(1)
         inputs = {
             **model.sources, "counts": workspace.counts, "q": workspace.q, "v": workspace.v,
@@ -158,7 +162,8 @@ class Step:
         share = 1.0 if phase is Phase.ON else ramp(self._config.weight_ramp, self._config.rate, now_ns - since_ns)
         self._integrate[0] = phase is Phase.ON
         np.subtract(self._law_torque, self._held, out=self.torque)
-        self.torque *= share
+        if share != 1.0:
+            self.torque *= share
         self.torque += self._held
 
     def take_over(self) -> None:
@@ -289,8 +294,9 @@ class Step:
             self._push[:] = self._landed_force * min(1.0, (now - self._since) / max(timing.loading, self._dt))
         elif state in (State.LIFTING, State.LANDING):
             x, y, z, vx, vy, vz, ax, ay, az = self._swing_path.at(now)
-            self._reference[:, _FOOT:] = (x, y, z), (vx, vy, vz), (ax, ay, az)
-        self._push *= self._stepping.transition
+            self._refer_foot(x, vx, ax, y, vy, ay, z, vz, az)
+        if not self._stepping.transition:
+            self._push *= 0.0
 
     def _reference_of_body(self, now: float) -> None:
         reference = self._reference

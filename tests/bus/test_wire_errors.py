@@ -41,7 +41,7 @@ def run(one: Wire, until: int = NEVER - 1, events: int = 100_000) -> list[Delive
     delivered: list[Delivery] = []
     while one.next_ns <= until and events:
         now = one.next_ns
-        delivered += [Delivery(*d, d.missed) for d in one.advance(now)]
+        delivered += [Delivery(*d) for d in one.advance(now)]
         assert one.next_ns >= now
         events -= 1
     assert events, "the wire does not come to rest"
