@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -15,6 +17,7 @@ from hil.senders import Senders
 from robots.description import Robot
 
 _PERIOD_NS = 10_000_000  # of looking at the buses
+_STATE = "2xH18xBx"  # statusword and error in a drive's state
 _ENABLED = messages.Controlword.ENABLE_OPERATION
 
 
@@ -39,13 +42,15 @@ class Observer:
         self.next_ns = _PERIOD_NS  # when ``watch`` is due
         self._joints_of, self._senders = joints_of, senders
         self._isr_rate, self._isr_per_report = isr_rate, isr_per_report
-        self.drive_rows = recorder.channel("drives")
+        self._drive_rows = recorder.channel("drives")
         self._bus_rows = recorder.channel("bus")
         n, buses = len(robot.joints), len(robot.buses)
         self._n = n
-        self.drive_row = np.full(3 * n, np.nan)  # statusword, error and round trip of each
-        self.drive_row[: 2 * n] = 0.0
-        self._drives: memoryview[float] = memoryview(self.drive_row)  # type: ignore[arg-type, assignment]
+        self._states = [bytes(messages.STATE_LENGTH)] * n  # the last of each drive
+        self._unpack = struct.Struct("<" + n * _STATE).unpack
+        self._row = np.full(3 * n, np.nan)  # statusword, error and round trip of each
+        self._row_items: memoryview[float] = memoryview(self._row)  # type: ignore[arg-type, assignment]
+        self._pack = partial(struct.Struct(f"{2 * n}d").pack_into, self._row.data, 0)
         self._bus_row = np.zeros(4 * buses)
         self._busy_before = [0] * buses
         names = recorder.channel("controller").signals
@@ -56,9 +61,7 @@ class Observer:
         """A drive's state that the gateway has received."""
         joints = self._joints_of[b]
         if 0 < sender <= len(joints) and len(data) == messages.STATE_LENGTH:
-            joint, row = joints[sender - 1], self._drives
-            row[joint] = data[2] | data[3] << 8
-            row[self._n + joint] = data[22]
+            self._states[joints[sender - 1]] = data
 
     def note_command(self, b: int, now: int, isr: int, data: bytes, missed: int) -> None:
         """A command that the drives of a bus have received, all but those whose ports are in the bit mask ``missed``,
@@ -80,13 +83,19 @@ class Observer:
                     sample = latest - ((latest - echoed) & 0xFFFF)
                     sampled = tick_ns(sample * per_report, self._isr_rate) if sample >= 0 else None
                 if sampled is not None:
-                    self._drives[2 * self._n + joint] = (now - sampled) * 1e-9
+                    self._row_items[2 * self._n + joint] = (now - sampled) * 1e-9
             at += 20
 
     def note_drives(self, now: int) -> None:
         """The drives' row of this tick of the controller."""
-        self.drive_rows.append(now, self.drive_row)
-        self.drive_row[2 * self._n :] = np.nan
+        self._drive_rows.append(now, self.drive_row())
+        self._row[2 * self._n :] = np.nan
+
+    def drive_row(self) -> np.ndarray:
+        """What is known of the drives now, as the channel has it; the array is reused."""
+        fields = self._unpack(b"".join(self._states))
+        self._pack(*fields[::2], *fields[1::2])
+        return self._row
 
     def watch(self, now: int, wires: Sequence[Wire], telemetry: np.ndarray) -> None:
         """Note the loads of the buses since the last call, and the controller's error."""
@@ -114,11 +123,13 @@ class Observer:
     def snapshot(self) -> dict[str, Any]:
         return {
             "next_ns": self.next_ns,
-            "drive_row": self.drive_row.copy(),
+            "states": list(self._states),
+            "row": self._row.copy(),
             "busy_before": list(self._busy_before),
         }
 
     def restore(self, state: dict[str, Any]) -> None:
         self.next_ns = state["next_ns"]
-        self.drive_row[:] = state["drive_row"]
+        self._states = list(state["states"])
+        self._row[:] = state["row"]
         self._busy_before = list(state["busy_before"])

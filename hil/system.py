@@ -350,7 +350,7 @@ class System:
         if now >= self.observer.next_ns:
             self.observer.watch(now, self.wires, telemetry)
             if self.monitor is not None:
-                self.stop_reason = self.monitor.check(now, self.world.truth(), telemetry, self.observer.drive_row)
+                self.stop_reason = self.monitor.check(now, self.world.truth(), telemetry, self.observer.drive_row())
         if now >= self._flush_ns:
             self._flush_ns += _FLUSH_NS
             self.recorder.flush(now)
