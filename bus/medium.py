@@ -77,7 +77,7 @@ class Medium:
         self._jammed_since = NEVER
         self._line = Line(self._impairment, _changed)  # impaired deliveries
         self._foretold: list[Event] = []  # by time: what controllers will tell in the course of an error
-        self._errors: deque[Event] = deque(maxlen=_UNREAD)
+        self.told: deque[Event] = deque(maxlen=_UNREAD)  # by nodes' controllers: what ``error_frames`` fetches
         self._armed: dict[_Key, list[tuple[int, int | str, int | None]]] = {}  # damage to come
         self._withdrawn: set[int] = set()  # orders of the frames under way that are not sent again
         self._given_up: deque[tuple[int, Frame]] = deque(maxlen=_UNREAD)
@@ -204,7 +204,7 @@ class Medium:
 
     def _wake(self, now_ns: int) -> None:
         """Nodes that come back from bus off, and a wire that becomes dominant."""
-        self._errors.extend(self._nodes.recover(self._free_at - self._integration_ns, now_ns))
+        self.told.extend(self._nodes.recover(self._free_at - self._integration_ns, now_ns))
         if self._nodes.dominant:
             self._nodes.interrupted(self._free_at - self._integration_ns, now_ns)
             self._follow(now_ns, {}, self._nodes.jam(now_ns, {}, now_ns))
@@ -241,10 +241,10 @@ class Medium:
     def error_frames(self) -> list[Event]:
         """(time in ns, port, error frame) of what the nodes' controllers have told since the last call, in order. The
         oldest are forgotten when nobody asks."""
-        if not self._errors:
+        if not self.told:
             return []
-        events = list(self._errors)
-        self._errors.clear()
+        events = list(self.told)
+        self.told.clear()
         return events
 
     def given_up(self) -> list[tuple[int, Frame]]:
@@ -284,7 +284,7 @@ class Medium:
             "queued": list(self._queued),
             "line": self._line.snapshot(),
             "foretold": list(self._foretold),
-            "error_frames": list(self._errors),
+            "error_frames": list(self.told),
             "armed": {key: list(items) for key, items in self._armed.items()},
             "withdrawn": set(self._withdrawn),
             "given_up": list(self._given_up),
@@ -301,7 +301,7 @@ class Medium:
         self._queued = list(state["queued"])
         self._line.restore(state["line"])
         self._foretold = list(state["foretold"])
-        self._errors = deque(state["error_frames"], maxlen=_UNREAD)
+        self.told = deque(state["error_frames"], maxlen=_UNREAD)
         self._armed = {key: list(items) for key, items in state["armed"].items()}
         self._withdrawn = set(state["withdrawn"])
         self._given_up = deque(state["given_up"], maxlen=_UNREAD)

@@ -69,7 +69,7 @@ class Wire(FaultyMedium):
         if self._line.next_ns <= now_ns:
             delivered += self._arrived(now_ns)
         while self._foretold and self._foretold[0][0] <= now_ns:
-            self._errors.append(self._foretold.pop(0))
+            self.told.append(self._foretold.pop(0))
         if self._free_at <= now_ns and self._sending is None:
             if not self._nodes.calm:
                 self._wake(now_ns)

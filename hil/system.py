@@ -229,8 +229,9 @@ class System:
     def _advance(self, b: int, wire: Wire, now: int) -> None:
         for _, sender, frame, missed in wire.advance(now):
             self._deliver(b, now, sender, frame, missed)
-        for at, port, error in wire.error_frames():
-            self._note_error(b, at, port, error)
+        if wire.told:
+            for at, port, error in wire.error_frames():
+                self._note_error(b, at, port, error)
 
     def _deliver(self, b: int, now: int, sender: int, frame: Frame, missed: int) -> None:
         """``missed``: bit mask of the ports that a fault keeps the frame from."""

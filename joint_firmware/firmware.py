@@ -258,7 +258,7 @@ class JointFirmware:
         if controlword != self.controlword or self._drive is not _ENABLED:
             self._switch(controlword, sent)
         enabled = self._drive is _ENABLED
-        setpoints.follow(order, weights(self.mode, enabled, not enabled and self._drive in _STOPPING))
+        setpoints.follow(order, enabled, not enabled and self._drive in _STOPPING)
 
     def _disregard(self, sent: list[Frame]) -> None:
         """A set-point makes no sense: neither acted upon nor taken for a sign of life, but not borne for long."""

@@ -83,7 +83,7 @@ class Rig:
         self.recorder.flush(end)
 
     def _deliver(self, now: int) -> None:
-        for time, sender, frame in self.wire.advance(now):
+        for time, sender, frame, _ in self.wire.advance(now):
             self.recorder.frame(time, 0, frame)
             if sender == _DRIVE:
                 self.master.receive(frame)
