@@ -25,8 +25,8 @@ class Link:
     def __init__(self, name: str, config: Impairment, streams: Callable[[str], Any]) -> None:
         self.name = name
         self._impairment = ImpairmentModel(name, config, streams)
-        self._line = Line(self._impairment, _changed)
-        self.pop_due = self._line.pop_due
+        self.line = Line(self._impairment, _changed)  # what is under way
+        self.pop_due = self.line.pop_due
         self.sent = 0
         self.lost = 0
 
@@ -34,13 +34,22 @@ class Link:
         """Put ``item``, ``bits`` long, on its way."""
         self.sent += 1
         if self._impairment.clean:
-            self._line.put(now_ns, item)
-        elif self._impairment.damaged_at(bits) is not None or not self._line.send(now_ns, item):
+            self.line.put(now_ns, item)
+        elif self._impairment.damaged_at(bits) is not None or not self.line.send(now_ns, item):
             self.lost += 1
 
-    def next_time(self) -> int:
+    def at_once(self) -> bool:
+        """Whether what is sent arrives at once, with nothing under way before it. If so it is counted here, and the
+        caller may pass it on himself."""
+        if self._impairment.clean and self.line.next_ns == NEVER:
+            self.sent += 1
+            return True
+        return False
+
+    @property
+    def next_ns(self) -> int:
         """When the next sample arrives, ns; NEVER when none is under way."""
-        return self._line.next_ns
+        return self.line.next_ns
 
     def set(self, key: str, value: Any) -> None:
         """Change one impairment; what is under way already is not affected."""
@@ -49,7 +58,7 @@ class Link:
     @property
     def counts(self) -> dict[str, int]:
         """What has happened to the samples so far."""
-        line = self._line
+        line = self.line
         return {
             "sent": self.sent, "lost": self.lost, "duplicated": line.duplicated, "corrupted": line.corrupted,
             "reordered": line.reordered,
@@ -57,12 +66,12 @@ class Link:
 
     def snapshot(self) -> dict[str, Any]:
         return {
-            "line": self._line.snapshot(),
+            "line": self.line.snapshot(),
             "counts": (self.sent, self.lost),
             "impairment": self._impairment.snapshot(),
         }
 
     def restore(self, state: dict[str, Any]) -> None:
-        self._line.restore(state["line"])
+        self.line.restore(state["line"])
         self.sent, self.lost = state["counts"]
         self._impairment.restore(state["impairment"])

@@ -40,35 +40,12 @@ class PortState(NamedTuple):
 
 
 class Delivery(NamedTuple):
-    """A frame that reaches every port but its sender's at ``time`` ns."""
+    """A frame that reaches the ports of a bus at ``time`` ns, all but its sender's and those that ``missed`` it."""
 
     time: int
     sender: int
     frame: Frame
-
-    @property
-    def missed(self) -> int:
-        """A bit mask: bit n is set for a port n that it does not reach, see PartialDelivery."""
-        return 0
-
-
-class PartialDelivery(Delivery):
-    """A frame that does not reach all ports: some are cut, bus off, or have seen an error in it."""
-
-    _missed = 0
-
-    @property
-    def missed(self) -> int:
-        return self._missed
-
-    @classmethod
-    def of(cls, time: int, sender: int, frame: Frame, missed: int) -> Delivery:
-        """A delivery, partial only when ``missed`` is not zero."""
-        if not missed:
-            return Delivery(time, sender, frame)
-        one = cls(time, sender, frame)
-        one._missed = missed
-        return one
+    missed: int = 0  # bit n is set for a port n that is cut or bus off, or has seen an error in the frame
 
 
 def _changed(delivery: Delivery, change: Callable[[bytes], bytes]) -> Delivery:
@@ -76,7 +53,7 @@ def _changed(delivery: Delivery, change: Callable[[bytes], bytes]) -> Delivery:
     data = change(frame.data)
     if data is frame.data:
         return delivery
-    return PartialDelivery.of(delivery.time, delivery.sender, frame._replace(data=data), delivery.missed)
+    return delivery._replace(frame=frame._replace(data=data))
 
 
 class Medium:
@@ -100,7 +77,7 @@ class Medium:
         self._jammed_since = NEVER
         self._line = Line(self._impairment, _changed)  # impaired deliveries
         self._foretold: list[Event] = []  # by time: what controllers will tell in the course of an error
-        self._errors: deque[Event] = deque(maxlen=_UNREAD)
+        self.told: deque[Event] = deque(maxlen=_UNREAD)  # by nodes' controllers: what ``error_frames`` fetches
         self._armed: dict[_Key, list[tuple[int, int | str, int | None]]] = {}  # damage to come
         self._withdrawn: set[int] = set()  # orders of the frames under way that are not sent again
         self._given_up: deque[tuple[int, Frame]] = deque(maxlen=_UNREAD)
@@ -112,11 +89,10 @@ class Medium:
         self.refused = 0  # offered to a full transmit queue
         self.dropped = 0  # given up: in one-shot mode, or withdrawn
         self.collisions = 0  # attempts of several ports with the same identifier
-        self.longest_wait_ns = 0
-        self._next = NEVER
+        self.next_ns = NEVER  # when ``advance`` has something to do; NEVER: the bus is idle, nothing is under way
 
     def _schedule(self) -> None:
-        """Set ``_next``."""
+        """Set ``next_ns``."""
         raise NotImplementedError
 
     # --- frames that got through --------------------------------------------------------------------------------
@@ -128,8 +104,6 @@ class Medium:
         self._queued[port] -= 1
         if self._behind[port]:
             heapq.heappush(self._waiting, self._behind[port].popleft())
-        if wait > self.longest_wait_ns:
-            self.longest_wait_ns = wait
         key = (frame[0], frame[4])  # identifier, extended: by index, twice as fast
         traffic = self._traffic.get(key)
         if traffic is None:
@@ -147,7 +121,7 @@ class Medium:
 
     def _arrived(self, now_ns: int) -> list[Delivery]:
         """The impaired deliveries that are due."""
-        return [PartialDelivery.of(at, d.sender, d.frame, d.missed) for at, d in self._line.pop_due(now_ns)]
+        return [delivery._replace(time=at) for at, delivery in self._line.pop_due(now_ns)]
 
     # --- attempts that may fail ---------------------------------------------------------------------------------
 
@@ -211,7 +185,7 @@ class Medium:
                 self._traffic_of(entry[4]).retransmitted += 1
             self._withdrawn.discard(entry[2])
         if outcome.frame is not None:
-            self._deliver(PartialDelivery.of(now_ns, outcome.sender, outcome.frame, outcome.missed), delivered)
+            self._deliver(Delivery(now_ns, outcome.sender, outcome.frame, outcome.missed), delivered)
         if outcome.jammed:
             self._jammed_since, self._free_at = outcome.idle, NEVER
 
@@ -230,7 +204,7 @@ class Medium:
 
     def _wake(self, now_ns: int) -> None:
         """Nodes that come back from bus off, and a wire that becomes dominant."""
-        self._errors.extend(self._nodes.recover(self._free_at - self._integration_ns, now_ns))
+        self.told.extend(self._nodes.recover(self._free_at - self._integration_ns, now_ns))
         if self._nodes.dominant:
             self._nodes.interrupted(self._free_at - self._integration_ns, now_ns)
             self._follow(now_ns, {}, self._nodes.jam(now_ns, {}, now_ns))
@@ -267,10 +241,10 @@ class Medium:
     def error_frames(self) -> list[Event]:
         """(time in ns, port, error frame) of what the nodes' controllers have told since the last call, in order. The
         oldest are forgotten when nobody asks."""
-        if not self._errors:
+        if not self.told:
             return []
-        events = list(self._errors)
-        self._errors.clear()
+        events = list(self.told)
+        self.told.clear()
         return events
 
     def given_up(self) -> list[tuple[int, Frame]]:
@@ -299,7 +273,7 @@ class Medium:
 
     _PLAIN = (
         "_order", "_free_at", "_sending", "_jammed_since", "busy_ns", "sent", "lost", "errors", "refused", "dropped",
-        "collisions", "longest_wait_ns", "_next",
+        "collisions", "next_ns",
     )  # fmt: skip
 
     def snapshot(self) -> dict[str, Any]:
@@ -310,7 +284,7 @@ class Medium:
             "queued": list(self._queued),
             "line": self._line.snapshot(),
             "foretold": list(self._foretold),
-            "error_frames": list(self._errors),
+            "error_frames": list(self.told),
             "armed": {key: list(items) for key, items in self._armed.items()},
             "withdrawn": set(self._withdrawn),
             "given_up": list(self._given_up),
@@ -327,7 +301,7 @@ class Medium:
         self._queued = list(state["queued"])
         self._line.restore(state["line"])
         self._foretold = list(state["foretold"])
-        self._errors = deque(state["error_frames"], maxlen=_UNREAD)
+        self.told = deque(state["error_frames"], maxlen=_UNREAD)
         self._armed = {key: list(items) for key, items in state["armed"].items()}
         self._withdrawn = set(state["withdrawn"])
         self._given_up = deque(state["given_up"], maxlen=_UNREAD)

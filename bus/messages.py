@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import struct
+from collections.abc import Sequence
 from typing import NamedTuple
 
 # --- identifiers (CiA 301 pre-defined connection set) -------------------------------------------------------
@@ -148,9 +149,14 @@ _COMMAND_HEADER = struct.Struct("<" + COMMAND_HEADER_LAYOUT)
 _ONE_SLOT = struct.Struct("<" + SLOT_LAYOUT)
 _make_state = State._make
 _make_setpoint = Setpoint._make
+Slot = tuple[int, int, int, float, float, float, float, int]  # a Setpoint, or what one is made of
 STATE_LENGTH = _STATE.size
 COMMAND_LENGTH = _COMMAND_HEADER.size + SLOTS * _ONE_SLOT.size
 assert STATE_LENGTH == 24 and COMMAND_LENGTH == 64
+_COMMANDS = [
+    struct.Struct(f"<{COMMAND_HEADER_LAYOUT}{used * SLOT_LAYOUT}{(SLOTS - used) * _ONE_SLOT.size}x")
+    for used in range(SLOTS + 1)
+]
 
 _I32 = 2**31 - 1
 _I16 = 2**15 - 1
@@ -200,33 +206,35 @@ def decode_state(data: bytes) -> State:
     )  # fmt: skip
 
 
-def _pack_slot(s: Setpoint) -> bytes:
+def _saturated(s: Slot) -> bytes:
     controlword, mode, gain_set, torque, position, velocity, torque_limit, state_counter = s
-    try:
-        return _ONE_SLOT.pack(
-            controlword, mode, gain_set,
-            round(torque / NEWTON_METRE), round(position / RADIAN), round(velocity / RADIAN_PER_SECOND),
-            round(torque_limit / TORQUE_LIMIT), state_counter & _U16,
-        )  # fmt: skip
-    except (struct.error, OverflowError):
-        return _ONE_SLOT.pack(
-            controlword, mode, gain_set,
-            _fixed(torque, NEWTON_METRE, _I32), _fixed(position, RADIAN, _I32),
-            _fixed(velocity, RADIAN_PER_SECOND, _I32),
-            max(_fixed(torque_limit, TORQUE_LIMIT, _U16), 0), state_counter & _U16,
-        )  # fmt: skip
+    return _ONE_SLOT.pack(
+        controlword, mode, gain_set,
+        _fixed(torque, NEWTON_METRE, _I32), _fixed(position, RADIAN, _I32), _fixed(velocity, RADIAN_PER_SECOND, _I32),
+        max(_fixed(torque_limit, TORQUE_LIMIT, _U16), 0), state_counter & _U16,
+    )  # fmt: skip
 
 
-def encode_command(counter: int, setpoints: tuple[Setpoint, ...] | list[Setpoint]) -> bytes:
+def encode_command(counter: int, setpoints: Sequence[Slot]) -> bytes:
     """The 64 bytes of a bus's command: one slot per drive in the bus's order, unused slots disabled.
 
-    Values beyond the range of their field saturate; NaN raises ValueError. Raises MalformedMessageError for
-    more set-points than slots.
+    ``setpoints`` are Setpoints, or plain tuples of their fields. Values beyond the range of their field saturate; NaN
+    raises ValueError. Raises MalformedMessageError for more set-points than slots.
     """
     if len(setpoints) > SLOTS:
         raise MalformedMessageError(f"{len(setpoints)} set-points do not fit into a command's {SLOTS} slots")
-    slots = b"".join([_COMMAND_HEADER.pack(counter & _U16, 0), *map(_pack_slot, setpoints)])
-    return slots.ljust(COMMAND_LENGTH, b"\0")
+    fields = [counter & _U16, 0]
+    try:  # the rule: everything fits
+        for controlword, mode, gain_set, torque, position, velocity, torque_limit, state_counter in setpoints:
+            fields += (
+                controlword, mode, gain_set,
+                round(torque / NEWTON_METRE), round(position / RADIAN), round(velocity / RADIAN_PER_SECOND),
+                round(torque_limit / TORQUE_LIMIT), state_counter & _U16,
+            )  # fmt: skip
+        return _COMMANDS[len(setpoints)].pack(*fields)
+    except (struct.error, OverflowError):
+        slots = b"".join([_COMMAND_HEADER.pack(counter & _U16, 0), *map(_saturated, setpoints)])
+        return slots.ljust(COMMAND_LENGTH, b"\0")
 
 
 def command_counter(data: bytes) -> int:

@@ -11,10 +11,6 @@ that the last step inserted.
 
 from __future__ import annotations
 
-import struct
-
-import numpy as np
-
 START = 0  # after the dominant start-of-frame bit
 
 
@@ -28,33 +24,18 @@ def _step(position: int, bit: int) -> tuple[int, int]:
     return 5 * bit + run - 1, int(stuffed)
 
 
-def _tables() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """States after seven bits (10 × 128), after a byte (10 × 256), and after two bytes (10 × 65536, indexed
-    by the pair as a native 16-bit word)."""
-    position = np.arange(10)[:, None]  # after no bit at all
-    count = np.zeros((10, 1), dtype=np.int64)
-    step = np.array([[_step(p, bit) for bit in (0, 1)] for p in range(10)])
-    by_width = []
-    for _ in range(8):  # each pass appends one bit: the number of words doubles
-        position, count = (
-            step[position][..., 0].reshape(10, -1),
-            (count[..., None] + step[position][..., 1]).reshape(10, -1),
-        )
-        by_width.append(8 * position + count)
-    seven, byte = by_width[6:]
-    first, second = byte[:, :, None], byte[byte // 8]
-    pair = (second + (first & 7)).reshape(10, -1)
-    words = np.stack(np.divmod(np.arange(65536), 256), axis=1).astype(np.uint8).view(np.uint16).ravel()
-    pair_by_word = np.empty_like(pair)
-    pair_by_word[:, words] = pair
-    return seven.astype(np.uint8), byte.astype(np.uint8), pair_by_word.astype(np.uint8)
+def _words(width: int) -> list[bytes]:
+    """By state: the states after each word of ``width`` bits."""
+    rows = []
+    for position in range(10):
+        row = [(position, 0)]
+        for _ in range(width):  # each pass appends one bit: the number of words doubles
+            row = [(after, count + stuffed) for at, count in row for after, stuffed in (_step(at, 0), _step(at, 1))]
+        rows.append(bytes(8 * after + count for after, count in row))
+    return [rows[state >> 3] for state in range(80)]
 
 
-_seven, _byte, _pair = _tables()
-_SEVENS = [_seven[state >> 3].tobytes() for state in range(80)]
-_BYTES = [_byte[state >> 3].tobytes() for state in range(80)]
-_per_position = [row.tobytes() for row in _pair]
-_PAIRS = [_per_position[state >> 3] for state in range(80)]
+_SEVENS, _BYTES = _words(7), _words(8)
 
 
 def after_bits(state: int, value: int, width: int) -> tuple[int, int]:
@@ -66,19 +47,12 @@ def after_bits(state: int, value: int, width: int) -> tuple[int, int]:
     return position << 3, count
 
 
-_WORDS = [struct.Struct(f"{length // 2}H").unpack for length in range(65)]
-
-
 def after_bytes(state: int, data: bytes) -> tuple[int, int]:
-    """State and number of stuff bits after the bytes of ``data``, at most 64."""
-    if len(data) & 1:
-        state, count = after_bytes(state, data[:-1])
-        state = _BYTES[state][data[-1]]
-        return state, count + (state & 7)
+    """State and number of stuff bits after the bytes of ``data``."""
     count = 0
-    pairs = _PAIRS
-    for word in _WORDS[len(data)](data):
-        state = pairs[state][word]
+    after = _BYTES
+    for byte in data:
+        state = after[state][byte]
         count += state & 7
     return state, count
 

@@ -15,16 +15,16 @@ import heapq
 
 from bus.frames import Frame
 from bus.link import NEVER
-from bus.medium import QUEUE, Delivery, Entry, PartialDelivery, PortState, Sending
+from bus.medium import QUEUE, Delivery, Entry, PortState
 from bus.timing import INTERMISSION, TAIL, contender
 from bus.traffic import Traffic, Wait
 from bus.wire_faults import FaultyMedium
 
-__all__ = ["QUEUE", "Delivery", "PartialDelivery", "PortState", "Traffic", "Wait", "Wire"]
+__all__ = ["QUEUE", "Delivery", "PortState", "Traffic", "Wait", "Wire"]
 
 
 class Wire(FaultyMedium):
-    """One bus with ``ports`` ports. Event driven: ``next_time`` tells when ``advance`` has something to do.
+    """One bus with ``ports`` ports. Event driven: ``next_ns`` tells when ``advance`` has something to do.
 
     A frame that is offered while the bus is idle takes part in the arbitration of that instant, together with
     all others offered at the same time: the calendar offers first and advances then. The end of a frame is
@@ -50,25 +50,27 @@ class Wire(FaultyMedium):
         heapq.heappush(self._waiting, entry)
         if self._sending is None:
             start = now_ns if now_ns > self._free_at else self._free_at
-            if start < self._next:
-                self._next = start
+            if start < self.next_ns:
+                self.next_ns = start
         return True
-
-    def next_time(self) -> int:
-        """Time of the next event, ns; NEVER when the bus is idle and nothing is under way."""
-        return self._next
 
     def advance(self, now_ns: int) -> list[Delivery]:
         """Process what happens at ``now_ns``: a frame's end, delayed deliveries, the next frame's start."""
         delivered: list[Delivery] = []
         sending = self._sending
         if sending is not None and sending[0] <= now_ns:
-            self._finish(now_ns, sending, delivered)
+            self._sending = None
+            entry = sending[2]
+            if entry is None:
+                self._conclude(now_ns, sending, delivered)
+            else:
+                self._note_sent(entry, sending[1])
+                self._deliver(Delivery(now_ns, entry[1], entry[4]), delivered)
         if self._line.next_ns <= now_ns:
             delivered += self._arrived(now_ns)
         while self._foretold and self._foretold[0][0] <= now_ns:
-            self._errors.append(self._foretold.pop(0))
-        if self._sending is None and self._free_at <= now_ns:
+            self.told.append(self._foretold.pop(0))
+        if self._free_at <= now_ns and self._sending is None:
             if not self._nodes.calm:
                 self._wake(now_ns)
             if self._waiting and self._sending is None:
@@ -86,8 +88,8 @@ class Wire(FaultyMedium):
                 draw, damaged = False, None if self._impairment.clean else self._impairment.damaged_at(slow + fast)
                 if damaged is None:
                     ends = now_ns + self._rates.ns(slow, fast)
-                    self._free_at = ends + self._intermission_ns
-                    self.busy_ns += self._free_at - now_ns
+                    self._free_at = free_at = ends + self._intermission_ns
+                    self.busy_ns += free_at - now_ns
                     self._sending = (ends, now_ns, entry, None)
                     return
             heapq.heappush(waiting, entry)
@@ -100,15 +102,6 @@ class Wire(FaultyMedium):
             if other[0] == priority and other[1] != port:
                 return True
         return False
-
-    def _finish(self, now_ns: int, sending: Sending, delivered: list[Delivery]) -> None:
-        self._sending = None
-        entry = sending[2]
-        if entry is None:
-            self._conclude(now_ns, sending, delivered)
-            return
-        self._note_sent(entry, sending[1])
-        self._deliver(Delivery(now_ns, entry[1], entry[4]), delivered)
 
     def _schedule(self) -> None:
         if self._sending is not None:
@@ -123,4 +116,4 @@ class Wire(FaultyMedium):
             upcoming = self._line.next_ns
         if self._foretold and self._foretold[0][0] < upcoming:
             upcoming = self._foretold[0][0]
-        self._next = upcoming
+        self.next_ns = upcoming

@@ -142,4 +142,4 @@ class FaultyMedium(Medium):
 
     def _look_again(self, now_ns: int) -> None:
         self._schedule()
-        self._next = max(self._next, now_ns)
+        self.next_ns = max(self.next_ns, now_ns)

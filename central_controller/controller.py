@@ -4,17 +4,18 @@ from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from bus import messages
-from bus.messages import Controlword, GainSet, Mode, Setpoint, State, Statusword
-from central_controller.behaviours import BEHAVIOURS
+from bus.messages import Controlword, GainSet, Mode, Setpoint, Slot, State, Statusword
+from central_controller.behaviours import behaviour_class
 from central_controller.behaviours.behaviour import Behaviour, Phase, Workspace
-from central_controller.binding import Bound
+from central_controller.binding import Bound, items
 from central_controller.config import ControllerConfig
 from central_controller.estimation import contact
 from central_controller.estimation.motion_capture import FIELDS, MotionCaptureOrientation
@@ -49,7 +50,7 @@ def telemetry_fields(robot: Robot, config: ControllerConfig) -> list[str]:
     """Names of the controller's telemetry, in order."""
     orientation = FIELDS if config.orientation == "motion_capture" else ()
     touch = contact.fields(robot) if config.contact != "switch" else ()
-    return [*BEHAVIOURS[config.behaviour].fields(robot), *orientation, *touch, *_NODE_FIELDS]
+    return [*behaviour_class(config.behaviour).fields(robot), *orientation, *touch, *_NODE_FIELDS]
 
 
 def _identity(function: ca.Function) -> ca.Function:
@@ -70,7 +71,8 @@ class Controller:
         self._config = config
         if robot.imu is None:
             raise ValueError(f"{robot.name} has no IMU to control it by")
-        self._imu = robot.imu
+        self._resolution = imu.resolutions(robot.imu)
+        self._motion = np.zeros(6)  # of the IMU: gyro, force
         names = robot.joint_names
         self._joint_of = {messages.STATE + joint.node_id: names.index(joint.name) for joint in robot.joints}
         self._buses = [[names.index(name) for name in bus.joints] for bus in robot.buses]
@@ -80,10 +82,10 @@ class Controller:
         # the memory that the compiled functions work in
         model = self._model = RobotModel(robot)
         self._space = space = Workspace(
-            robot, config, model, counts=np.zeros(3 * n), gyro=np.zeros(3), force=np.zeros(3),
+            robot, config, model, counts=np.zeros(3 * n), gyro=self._motion[:3], force=self._motion[3:],
             contacts=np.zeros(len(robot.feet)), q=np.zeros(model.nq), v=np.zeros(model.nv),
         )  # fmt: skip
-        self._behaviour: Behaviour = BEHAVIOURS[config.behaviour](space, compile)
+        self._behaviour: Behaviour = behaviour_class(config.behaviour)(space, compile)
         self._memory = self._behaviour.memory
         self._memory[ORIENTATION] = self._hanging.quaternion
         self.telemetry = np.zeros(len(telemetry_fields(robot, config)))
@@ -106,7 +108,10 @@ class Controller:
         self._phase_ns = round(config.phase * 1e9)
         self._hold: tuple[int, ...] = (0,) * n  # counts: where the joints were at first
         self._unpack_states = struct.Struct("<" + messages.STATE_LAYOUT * n).unpack
-        self._pack_counts = struct.Struct(f"{3 * n}d").pack_into
+        self._pack_counts = partial(struct.Struct(f"{3 * n}d").pack_into, space.counts.data, 0)
+        self._contacts = items(space.contacts)
+        self._own = items(self.telemetry[len(self.telemetry) - len(_NODE_FIELDS) :])
+        self._limits = [_TORQUE_LIMIT] * n
 
         self._states: list[bytes] = [b""] * n  # the last of each drive; empty: none yet
         self._counters = [0] * n  # of these
@@ -126,7 +131,7 @@ class Controller:
         Malformed ones are counted."""
         if source == IMU_SOURCE:
             try:
-                self._space.gyro[:], self._space.force[:] = imu.decode(data, self._imu)
+                self._motion[:] = imu.unpack(data, self._resolution)
             except ValueError:
                 self._malformed += 1
             else:
@@ -171,9 +176,9 @@ class Controller:
             self._hold = positions
             self._enter(Phase.ENABLING, now_ns)
         space, behaviour = self._space, self._behaviour
-        self._pack_counts(space.counts.data, 0, *positions, *fields[_VELOCITY::_FIELDS], *fields[_TORQUE::_FIELDS])
+        self._pack_counts(*positions, *fields[_VELOCITY::_FIELDS], *fields[_TORQUE::_FIELDS])
         for foot, knee in enumerate(self._knees):
-            space.contacts[foot] = words[knee] & Statusword.FOOT_CONTACT != 0
+            self._contacts[foot] = words[knee] & Statusword.FOOT_CONTACT != 0
         self._predict()
         if self._orientation is not None:
             self._orient(self._orientation, now_ns)
@@ -216,7 +221,7 @@ class Controller:
         self._phase = phase
         self._since_ns = now_ns
 
-    def _setpoints(self, words: tuple[int, ...], positions: tuple[int, ...]) -> list[Setpoint]:
+    def _setpoints(self, words: tuple[int, ...], positions: tuple[int, ...]) -> list[Slot]:
         """One set-point per joint, from the statuswords and positions (counts) of the drives."""
         behaviour, n = self._behaviour, self._n
         if self._phase < Phase.RAMP:
@@ -233,14 +238,11 @@ class Controller:
             modes, torques = [Mode.DAMPING] * n, [0.0] * n
         answers = _WHILE_STANDING if self._phase >= Phase.RAMP else _WHILE_ENABLING
         answer, off = answers.get, Controlword.DISABLE_VOLTAGE
-        return [
-            Setpoint(answer(word & _MASK, off), mode, gains, torque, position, speed, _TORQUE_LIMIT, counter)
-            for word, mode, gains, torque, position, speed, counter in zip(
-                words, modes, gain_sets, torques, wanted, speeds, self._counters, strict=True
-            )
-        ]
+        controlwords = [answer(word & _MASK, off) for word in words]
+        limits, counters = self._limits, self._counters
+        return list(zip(controlwords, modes, gain_sets, torques, wanted, speeds, limits, counters, strict=True))
 
-    def _answer(self, now_ns: int, setpoints: list[Setpoint]) -> list[tuple[int, int, bytes]]:
+    def _answer(self, now_ns: int, setpoints: Sequence[Slot]) -> list[tuple[int, int, bytes]]:
         self._counter = counter = (self._counter + 1) & 0xFFFF
         behaviour = self._behaviour.telemetry
         at = len(behaviour)
@@ -249,8 +251,9 @@ class Controller:
             if part is not None:
                 self.telemetry[at : at + len(part.telemetry)] = part.telemetry
                 at += len(part.telemetry)
-        age = (now_ns - min(self._arrivals)) * 1e-9
-        self.telemetry[-len(_NODE_FIELDS) :] = age, self._phase, self._missed, self._malformed
+        own = self._own
+        own[0] = (now_ns - min(self._arrivals)) * 1e-9
+        own[1], own[2], own[3] = self._phase, self._missed, self._malformed
         return [
             (bus, messages.COMMAND, messages.encode_command(counter, [setpoints[joint] for joint in joints]))
             for bus, joints in enumerate(self._buses)

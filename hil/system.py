@@ -1,6 +1,6 @@
 """The calendar: one ordering of all events of a run, for any backend and either clock.
 
-Events are ordered by time in integer nanoseconds and, at the same time, by the fixed order in ``System._step``:
+Events are ordered by time in integer nanoseconds and, at the same time, by the fixed order in ``System.run_until``:
 wires, links, motion capture, world and joints, controller's tick, controller's answer. Nothing is ordered by arrival,
 so a run is the same on every backend and on a loaded machine.
 
@@ -10,7 +10,6 @@ its next PWM period), let the joints compute, and meanwhile step the physics to 
 
 from __future__ import annotations
 
-import contextlib
 from collections import deque
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, Protocol
@@ -26,6 +25,7 @@ from bus.zenoh_link import IMU_SOURCE, MOTION_CAPTURE_SOURCE
 from hil.clock import VirtualClock, WallClock, tick_ns
 from hil.faults import Faults
 from hil.injection import Injector
+from hil.observer import Observer
 from hil.record.journal import Journal, frame_entry
 from hil.record.recorder import Recorder
 from hil.record.ring import StepRing
@@ -39,7 +39,6 @@ if TYPE_CHECKING:  # a backend forks its children before the physics is imported
 
 GATEWAY_PORT = 0  # joints follow, then who only disturbs, and last the port of attached tools
 _FLUSH_NS = 100_000_000
-_MONITOR_NS = 10_000_000
 
 Item = tuple[int, int, bytes]  # source or bus, CAN identifier, payload
 
@@ -139,7 +138,6 @@ class System:
         self._reply_ns = NEVER
         self._reply: tuple[list[Item], np.ndarray] | None = None
         self._flush_ns = _FLUSH_NS
-        self._monitor_ns = _MONITOR_NS
         self._inboxes: list[list[Frame]] = [[] for _ in range(self._joint_count)]
         self._arrived: list[tuple[int, int, int, bytes]] = []
         self.faults = Faults(
@@ -148,19 +146,12 @@ class System:
         self._senders = self.faults.senders
         self.injector = Injector(scenario, robot, self.faults.setters(self._links), self.journal)
 
+        self.observer = Observer(
+            robot, recorder, self._joints_of, self._senders, self._isr_rate, self._isr_per_report
+        )
         self._world_rows = recorder.channel("world")
         self._controller_rows = recorder.channel("controller")
-        self._drive_rows = recorder.channel("drives")
-        self._bus_rows = recorder.channel("bus")
         self._motion_capture_rows = recorder.channel("motion_capture") if world.motion_capture is not None else None
-        n = self._joint_count
-        self._drive_row = np.full(3 * n, np.nan)
-        self._drive_row[: 2 * n] = 0.0
-        self._bus_row = np.zeros(4 * len(self.wires))
-        self._busy_before = [0] * len(self.wires)
-        names = self._controller_rows.signals
-        self._com_columns = [names.index(n) for n in ("com.x", "com.z", "com_reference.x", "com_reference.z")]
-        self._com_error = 0.0
 
     def _acceptance(self, robot: Robot, b: int) -> dict[int, list[tuple[int, int]]]:
         """The acceptance filters of a bus's drives: port and joint of those that receive an identifier."""
@@ -173,78 +164,98 @@ class System:
     # --- running ------------------------------------------------------------------------------------------------
 
     def run_until(self, end_ns: int) -> None:
-        """Process all events before ``end_ns``, in order; return early when the monitor has seen a reason to stop."""
+        """Process all events before ``end_ns``, in order; return early when the monitor has seen a reason to stop.
+
+        What becomes due at the same time behind its place in the order has its turn in another pass.
+        """
+        faults, wires = self.faults, self.wires
+        states, commands, cameras = self.state_link.line, self.command_link.line, self.motion_capture_link.line
+        own = self._next_own()
         while self.stop_reason is None:
-            now = min(
-                self._isr_ns,
-                self._control_ns,
-                self._reply_ns,
-                self.faults.next_ns,
-                self.state_link.next_time(),
-                self.command_link.next_time(),
-                self.motion_capture_link.next_time(),
-                self._exposure_ns,
-                *[wire.next_time() for wire in self.wires],
-            )
+            now = min(own, states.next_ns, commands.next_ns, cameras.next_ns, faults.next_ns)
+            for wire in wires:
+                if wire.next_ns < now:
+                    now = wire.next_ns
             if now >= end_ns:
                 self.now_ns = end_ns
                 return
             self.now_ns = now
-            self._step(now)
+            if faults.next_ns == now:
+                faults.advance(now)
+            for b, wire in enumerate(wires):
+                if wire.next_ns == now:
+                    self._advance(b, wire, now)
+            if states.next_ns == now:
+                self._receive(states.pop_due(now))
+            if commands.next_ns == now:
+                self._forward(now, commands.pop_due(now))
+            if cameras.next_ns == now:
+                self._receive(cameras.pop_due(now))
+            if own == now:
+                self._tick(now)
+                own = self._next_own()
 
-    def _step(self, now: int) -> None:
-        if now == self.faults.next_ns:
-            self.faults.advance(now)
-        for b, wire in enumerate(self.wires):
-            if wire.next_time() == now:
-                for delivery in wire.advance(now):
-                    self._deliver(b, now, delivery.sender, delivery.frame, delivery.missed)
-                for at, port, error in wire.error_frames():
-                    self._note_error(b, at, port, error)
-        if self.state_link.next_time() == now:
-            for arrival, (source, can_id, data) in self.state_link.pop_due(now):
-                self._arrived.append((arrival, source, can_id, data))
-        if self.command_link.next_time() == now:
-            for _, item in self.command_link.pop_due(now):
-                with contextlib.suppress(messages.MalformedMessageError):  # the gateway has counted it
-                    bus, frame = self.gateway.from_link(item)
-                    if self.faults.commands:
-                        frame = self.faults.commands.apply(bus, frame)
-                    self.wires[bus].offer(now, GATEWAY_PORT, frame)
-        if self.motion_capture_link.next_time() == now:
-            for arrival, (source, can_id, data) in self.motion_capture_link.pop_due(now):
-                self._arrived.append((arrival, source, can_id, data))
-        if now == self._exposure_ns:
+    def _next_own(self) -> int:
+        """When ``_tick`` has something to do, which nothing else changes."""
+        return min(self._isr_ns, self._control_ns, self._reply_ns, self._exposure_ns)
+
+    def _tick(self, now: int) -> None:
+        if self._exposure_ns == now:
             self._expose(now)
-        if now == self._isr_ns:
+        if self._isr_ns == now:
             self.clock.wait_until(now)
             self._tick_joints(now)
-        if now == self._reply_ns:
+        if self._reply_ns == now:
             self._finish_control(now)
-        if now == self._control_ns:
+        if self._control_ns == now:
             self._start_control(now)
+
+    def _receive(self, arrived: list[tuple[int, Item]]) -> None:
+        """What the controller shall find at its next tick."""
+        for arrival, (source, can_id, data) in arrived:
+            self._arrived.append((arrival, source, can_id, data))
+
+    def _forward(self, now: int, arrived: list[tuple[int, Item]]) -> None:
+        """What has come over the link goes to the buses."""
+        for _, item in arrived:
+            try:
+                bus, frame = self.gateway.from_link(item)
+            except messages.MalformedMessageError:  # the gateway has counted it
+                continue
+            if self.faults.commands:
+                frame = self.faults.commands.apply(bus, frame)
+            self.wires[bus].offer(now, GATEWAY_PORT, frame)
+
+    def _advance(self, b: int, wire: Wire, now: int) -> None:
+        for _, sender, frame, missed in wire.advance(now):
+            self._deliver(b, now, sender, frame, missed)
+        if wire.told:
+            for at, port, error in wire.error_frames():
+                self._note_error(b, at, port, error)
 
     def _deliver(self, b: int, now: int, sender: int, frame: Frame, missed: int) -> None:
         """``missed``: bit mask of the ports that a fault keeps the frame from."""
         self.recorder.frame(now, b, frame)
         if self.tap is not None and not missed >> self._tool_port[b] & 1:
             self.tap.broadcast(b, now, sender, frame)
-        sound = type(frame.data) is bytes  # what a corrupted frame says is no fact about the run
-        receivers = self._accepts[b].get(frame.id)
-        if receivers is not None and not frame.extended and not frame.remote:
+        can_id, data, _, _, extended, remote, _ = frame
+        receivers = self._accepts[b].get(can_id)
+        if receivers is not None and not extended and not remote:
             for port, joint in receivers:
                 if sender != port and not missed >> port & 1:
                     self._inboxes[joint].append(frame)
-            if sender == GATEWAY_PORT and sound:  # which sends commands alone
-                for slot, joint in enumerate(self._joints_of[b]):
-                    if not missed >> slot + 1 & 1:
-                        self._note_round_trip(now, joint, slot, frame.data)
+            # the gateway sends commands alone; what a corrupted frame says is no fact about the run
+            if sender == GATEWAY_PORT and type(data) is bytes:
+                self.observer.note_command(b, now, self._isr, data, missed)
         if sender != GATEWAY_PORT and not missed >> GATEWAY_PORT & 1:
             item = self.gateway.from_can(now, b, frame)
             if item is not None:
-                self.state_link.send(now, item, 8 * len(frame.data))
-                if frame.id & 0x780 == messages.STATE and sound:
-                    self._note_state(b, sender, frame.data)
+                if self.state_link.at_once():
+                    self._arrived.append((now, *item))
+                else:
+                    self.state_link.send(now, item, 8 * len(data))
+                if can_id & 0x780 == messages.STATE and type(data) is bytes:
+                    self.observer.note_state(b, sender, data)
 
     def _note_error(self, b: int, now: int, port: int, error: ErrorFrame) -> None:
         """What the tools' controller tells of an error on the bus; other nodes hear it from their own."""
@@ -319,8 +330,7 @@ class System:
         self._reply_ns = now + self._compute_ns
         self._control += 1
         self._control_ns = self._control_phase_ns + tick_ns(self._control, self._control_rate)
-        self._drive_rows.append(now, self._drive_row)
-        self._drive_row[2 * self._joint_count :] = np.nan
+        self.observer.note_drives(now)
 
     def _offer_of_tool(self, now: int, bus: int, frame: Frame) -> bool:
         wire, port = self.wires[bus], self._tool_port[bus]
@@ -338,8 +348,10 @@ class System:
         for item in commands:
             self.command_link.send(now, item, 8 * len(item[2]))
         self._controller_rows.append(now, telemetry)
-        if now >= self._monitor_ns:
-            self._watch(now, telemetry)
+        if now >= self.observer.next_ns:
+            self.observer.watch(now, self.wires, telemetry)
+            if self.monitor is not None:
+                self.stop_reason = self.monitor.check(now, self.world.truth(), telemetry, self.observer.drive_row())
         if now >= self._flush_ns:
             self._flush_ns += _FLUSH_NS
             self.recorder.flush(now)
@@ -348,63 +360,12 @@ class System:
 
     # --- observing ----------------------------------------------------------------------------------------------
 
-    def _note_state(self, b: int, sender: int, data: bytes) -> None:
-        joint = self._joints_of[b][sender - 1] if 0 < sender <= len(self._joints_of[b]) else None
-        if joint is not None and len(data) == messages.STATE_LENGTH:
-            self._drive_row[joint] = data[2] | data[3] << 8
-            self._drive_row[self._joint_count + joint] = data[22]
-
-    def _note_round_trip(self, now: int, joint: int, slot: int, data: bytes) -> None:
-        """Time from the joint's sample to the command that used it arriving at that joint.
-
-        Sample c is taken at the joint's report tick c; the command echoes c modulo 2**16.
-        """
-        if len(data) != messages.COMMAND_LENGTH:
-            return
-        controlword, echoed = data[4 + 20 * slot], data[22 + 20 * slot] | data[23 + 20 * slot] << 8
-        if controlword != messages.Controlword.ENABLE_OPERATION:
-            return  # not yet computed from a sample
-        if joint in self._senders.clocks:
-            own = self._senders.clocks[joint].sampled_ns(echoed, self._isr_per_report)
-            if own is not None:
-                self._drive_row[2 * self._joint_count + joint] = (now - own) * 1e-9
-            return
-        latest = (self._isr - 1) // self._isr_per_report
-        sample = latest - ((latest - echoed) & 0xFFFF)
-        if sample >= 0:
-            sampled = tick_ns(sample * self._isr_per_report, self._isr_rate)
-            self._drive_row[2 * self._joint_count + joint] = (now - sampled) * 1e-9
-
-    def _watch(self, now: int, telemetry: np.ndarray) -> None:
-        span = now - self._monitor_ns + _MONITOR_NS
-        self._monitor_ns = now + _MONITOR_NS
-        count = len(self.wires)
-        for b, wire in enumerate(self.wires):
-            self._bus_row[b] = (wire.busy_ns - self._busy_before[b]) / span
-            self._busy_before[b] = wire.busy_ns
-            self._bus_row[count + b] = wire.sent
-            self._bus_row[2 * count + b] = wire.lost
-            self._bus_row[3 * count + b] = wire.errors
-        self._bus_rows.append(now, self._bus_row)
-        x, z, x_reference, z_reference = telemetry[self._com_columns]
-        self._com_error = float(np.hypot(x - x_reference, z - z_reference))
-        if self.monitor is not None:
-            self.stop_reason = self.monitor.check(now, self.world.truth(), telemetry, self._drive_row)
-
     def deliveries(self) -> dict[str, dict[str, int]]:
         """What has happened so far to what buses and links carried, by their paths."""
         used = {path: link for path, link in self._links.items() if path != "link.motion_capture" or self._exposures}
         return {path: link.counts for path, link in used.items()} | {
             f"bus.{wire.name}": wire.counts for wire in self.wires
         }
-
-    def com_error(self) -> float:
-        """Distance of the estimated CoM from its reference in the sagittal plane now, m."""
-        return self._com_error
-
-    def bus_loads(self) -> list[float]:
-        """Load of each bus over the last hundredth of a second."""
-        return [float(share) for share in self._bus_row[: len(self.wires)]]
 
     # --- injecting ----------------------------------------------------------------------------------------------
 
@@ -426,7 +387,7 @@ class System:
     # --- state --------------------------------------------------------------------------------------------------
 
     _PLAIN = (
-        "now_ns", "_isr", "_control", "_isr_ns", "_control_ns", "_reply_ns", "_flush_ns", "_monitor_ns", "tool_frames",
+        "now_ns", "_isr", "_control", "_isr_ns", "_control_ns", "_reply_ns", "_flush_ns", "tool_frames",
         "stop_reason", "_exposures", "_exposure_ns",
     )  # fmt: skip
 
@@ -440,8 +401,7 @@ class System:
             "reply": reply,
             "inboxes": [list(inbox) for inbox in self._inboxes],
             "arrived": list(self._arrived),
-            "drive_row": self._drive_row.copy(),
-            "busy_before": list(self._busy_before),
+            "observer": self.observer.snapshot(),
             "world": self.world.snapshot(),
             "joints": self.joints.snapshot(),
             "controller": self.controller.snapshot(),
@@ -461,8 +421,7 @@ class System:
         self._reply = None if reply is None else (list(reply[0]), reply[1].copy())
         self._inboxes = [list(inbox) for inbox in state["inboxes"]]
         self._arrived = list(state["arrived"])
-        self._drive_row[:] = state["drive_row"]
-        self._busy_before = list(state["busy_before"])
+        self.observer.restore(state["observer"])
         self.world.restore(state["world"])
         self.joints.restore(state["joints"])
         self.controller.restore(state["controller"])

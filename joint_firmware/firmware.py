@@ -12,7 +12,7 @@ import numpy as np
 from bus import messages
 from bus.drive_faults import EMERGENCIES, DriveFault
 from bus.frames import Frame
-from bus.messages import GainSet, Mode
+from bus.messages import GainSet, Mode, newer
 from joint_firmware import registers
 from joint_firmware.communication import Communication
 from joint_firmware.config import FirmwareConfig, JointConfig, Settings
@@ -36,7 +36,11 @@ _SENSELESS = 3  # command frames in a row that are not acted upon; then the driv
 _ENABLED = DriveState.OPERATION_ENABLED  # a member of an Enum is slow to look up
 # so is a constant of another module
 _Y_DEMAND, _Y_TRIPS = law.Y_DEMAND, law.Y_TRIPS
+_COMMAND, _COMMAND_LENGTH = messages.COMMAND, messages.COMMAND_LENGTH
 _DEMAND_PIN, _ENABLE_PIN = pins.CURRENT_DEMAND, pins.ENABLE
+_SWITCHES, _FOOT_SWITCH = pins.SWITCHES, pins.FOOT_SWITCH
+_TEMPERATURE_ADC, _KELVIN_PER_COUNT = pins.TEMPERATURE_ADC, pins.KELVIN_PER_COUNT
+_FOOT_CONTACT, _LIMITED = messages.Statusword.FOOT_CONTACT, messages.Statusword.LIMITED
 _STOPPING = (DriveState.QUICK_STOP_ACTIVE, DriveState.FAULT_REACTION_ACTIVE)
 
 
@@ -81,6 +85,7 @@ class JointFirmware:
         self._law = memory = LawMemory(self.law, compile)
         self._evaluate, self._counts, self._x_next = memory.evaluate, memory.counts_array, memory.x_next
         self.x, self.u, self.y = memory.x, memory.u, memory.y
+        self._reported = memory.y[law.Y_POSITION : law.Y_LIMITED + 1]
         self._setpoints = Setpoints(memory.u_array, bus.joints.index(joint.name))
 
         self.ticks = 0  # done; a timer that runs on through a reset, by which samples are numbered
@@ -184,8 +189,9 @@ class JointFirmware:
         tick = self.ticks
         sent: list[Frame] = []
         for frame in frames:
-            if frame.id == messages.COMMAND and not frame.extended:
-                self._accept(frame.data, sent)
+            can_id, data, _, _, extended, _, _ = frame
+            if can_id == _COMMAND and not extended:
+                self._accept(data, sent)
             else:
                 self._sent = sent
                 self._communication.receive(frame, tick, sent)
@@ -200,7 +206,8 @@ class JointFirmware:
         if y[_Y_TRIPS]:
             self._protect(int(y[_Y_TRIPS]), sent)
         if self._drive in POWERED:
-            out[_DEMAND_PIN], out[_ENABLE_PIN] = int(y[_Y_DEMAND]), 1
+            out[_DEMAND_PIN] = int(y[_Y_DEMAND])
+            out[_ENABLE_PIN] = 1
         else:
             out[_DEMAND_PIN] = out[_ENABLE_PIN] = 0
         communication = self._communication
@@ -230,12 +237,12 @@ class JointFirmware:
         """
         if not self._communication.listening:
             return
-        if len(data) != messages.COMMAND_LENGTH:
+        if len(data) != _COMMAND_LENGTH:
             self._malformed += 1
             return
         counter = data[0] | data[1] << 8
         known = self._command_counter
-        if known is not None and not messages.newer(counter, known):
+        if known is not None and not newer(counter, known):
             silent = self.ticks - self._command_tick >= self._watchdog_ticks
             if not silent or self._drive is _ENABLED:
                 return  # a repeated frame must not feed the watchdog
@@ -250,7 +257,8 @@ class JointFirmware:
         controlword, self.mode, self.gain_set = order[:3]
         if controlword != self.controlword or self._drive is not _ENABLED:
             self._switch(controlword, sent)
-        setpoints.follow(order, weights(self.mode, self._drive is _ENABLED, self._drive in _STOPPING))
+        enabled = self._drive is _ENABLED
+        setpoints.follow(order, enabled, not enabled and self._drive in _STOPPING)
 
     def _disregard(self, sent: list[Frame]) -> None:
         """A set-point makes no sense: neither acted upon nor taken for a sign of life, but not borne for long."""
@@ -374,21 +382,21 @@ class JointFirmware:
 
     def report(self, tick: int) -> bytes:
         """The state of the last sample, as TPDO1 carries it."""
-        y = self.y
+        position, velocity, torque, current, motor_velocity, _, limited = self._reported
         statusword = int(self._drive)
-        if self._in[pins.SWITCHES] & pins.FOOT_SWITCH:
-            statusword |= messages.Statusword.FOOT_CONTACT
-        if y[law.Y_LIMITED]:
-            statusword |= messages.Statusword.LIMITED
-        temperature = int(self._in[pins.TEMPERATURE_ADC] * pins.KELVIN_PER_COUNT)
+        if self._in[_SWITCHES] & _FOOT_SWITCH:
+            statusword |= _FOOT_CONTACT
+        if limited:
+            statusword |= _LIMITED
+        temperature = int(self._in[_TEMPERATURE_ADC] * _KELVIN_PER_COUNT)
         return _STATE.pack(
             tick // self._ticks_per_report & _U16,
             statusword,
-            int(y[law.Y_POSITION]),
-            int(y[law.Y_VELOCITY]),
-            int(y[law.Y_TORQUE]),
-            int(y[law.Y_CURRENT]),
-            int(y[law.Y_MOTOR_VELOCITY]),
+            int(position),
+            int(velocity),
+            int(torque),
+            int(current),
+            int(motor_velocity),
             self._command_counter or 0,
             self.fault,
             min(max(temperature, 0), 255),

@@ -15,6 +15,8 @@ from joint_firmware.laws import signals as law
 
 _SLOT = struct.Struct("<" + messages.SLOT_LAYOUT)
 _INPUT = struct.Struct(f"<{law.INPUT_SIZE}d")  # in the order of ``laws.signals``
+_NEWTON_METRE, _RADIAN = messages.NEWTON_METRE, messages.RADIAN  # a constant of another module is slow to look up
+_RADIAN_PER_SECOND, _TORQUE_LIMIT = messages.RADIAN_PER_SECOND, messages.TORQUE_LIMIT
 _NO_LIMIT = 1e9  # N m: the set-point's own limit where none comes with it
 _MODE_INPUTS = {
     Mode.TORQUE: law.U_TORQUE_MODE, Mode.POSITION: law.U_POSITION_MODE, Mode.DAMPING: law.U_DAMPING_MODE,
@@ -58,11 +60,14 @@ class Setpoints:
         self._u: memoryview[float] = memoryview(u)  # type: ignore[arg-type, assignment]
         self._offset = struct.calcsize("<" + messages.COMMAND_HEADER_LAYOUT) + slot * _SLOT.size
         self._gains: dict[int, tuple[float, float, float]] = {}
+        # inputs behind the set-points, by what commands and drive's states there were
+        self._followed: dict[tuple[int, int, bool, bool], tuple[float, ...]] = {}
 
     def configure(self, config: FirmwareConfig, ranges: Mapping[str, float]) -> None:
         """Gains by their sets, and from ``ranges`` [SI] what a set-point may be."""
         sets = {GainSet.STANCE: config.stance, GainSet.SWING: config.swing}
         self._gains = {index: (g.kp, g.ki, g.kd) for index, g in sets.items()}
+        self._followed.clear()
         self._torque = int(ranges["torque_range"] / messages.NEWTON_METRE)
         self._position = int(ranges["position_range"] / messages.RADIAN)
         self._velocity = int(ranges["velocity_range"] / messages.RADIAN_PER_SECOND)
@@ -80,13 +85,17 @@ class Setpoints:
             and -self._velocity <= velocity <= self._velocity
         )
 
-    def follow(self, order: tuple[int, ...], weights: Weights) -> None:
-        """Everything anew, from a command frame."""
-        _, _, gain_set, torque, position, velocity, limit, _ = order
+    def follow(self, order: tuple[int, ...], enabled: bool, stopping: bool) -> None:
+        """Everything anew, from a command frame to a drive in this state."""
+        _, mode, gain_set, torque, position, velocity, limit, _ = order
+        key = (mode, gain_set, enabled, stopping)
+        rest = self._followed.get(key)
+        if rest is None:
+            before, behind = weights(mode, enabled, stopping)
+            rest = self._followed[key] = (*before, *self.gains(gain_set), *behind)
         _INPUT.pack_into(
             self._bytes, 0,
-            torque * messages.NEWTON_METRE, position * messages.RADIAN, velocity * messages.RADIAN_PER_SECOND,
-            limit * messages.TORQUE_LIMIT, *weights[0], *self.gains(gain_set), *weights[1],
+            torque * _NEWTON_METRE, position * _RADIAN, velocity * _RADIAN_PER_SECOND, limit * _TORQUE_LIMIT, *rest,
         )  # fmt: skip
 
     def rest(self, position: float, gain_set: int) -> None:

@@ -122,30 +122,27 @@ class ImuSensor:
     """Gyroscope and accelerometer with white noise and a constant bias; that of the gyro may drift as well."""
 
     def __init__(self, description: Imu, config: SensorConfig, rate: float, streams: Callable[[str], Any]) -> None:
-        self._imu = description
+        self._resolution = imu.resolutions(description)
         # a continuous-time density becomes a discrete deviation: divide the variance by the sample period
-        self._gyro_deviation = config.noise * description.gyro_noise_density * rate**0.5
-        self._force_deviation = config.noise * description.accelerometer_noise_density * rate**0.5
-        bias = streams("plant.imu.bias").normal(6)
-        self._gyro_bias = config.bias * description.gyro_bias * bias[:3]
-        self._force_bias = config.bias * description.accelerometer_bias * bias[3:]
+        gyro_deviation = config.noise * description.gyro_noise_density * rate**0.5
+        force_deviation = config.noise * description.accelerometer_noise_density * rate**0.5
+        self._deviation = np.repeat([gyro_deviation, force_deviation], 3)
+        biases = [config.bias * description.gyro_bias, config.bias * description.accelerometer_bias]
+        self._bias = np.repeat(biases, 3) * streams("plant.imu.bias").normal(6)
         self._noise = streams("plant.imu.noise")
         self._drift_noise = streams("plant.imu.drift")
         self._drift = config.gyro_drift * self._drift_noise.normal(3) if config.gyro_drift else np.zeros(3)
         self._drift_kept = math.exp(-1.0 / (config.gyro_drift_time * rate))  # per sample
         self._drift_deviation = config.gyro_drift * math.sqrt(1.0 - self._drift_kept**2)
 
-    def sample(self, gyro: np.ndarray, force: np.ndarray) -> bytes:
-        """The wire's bytes for the true angular velocity [rad/s] and specific force [m/s²]."""
+    def sample(self, motion: np.ndarray) -> bytes:
+        """The wire's bytes for the true angular velocity [rad/s] and specific force [m/s²], (6,)."""
         noise = self._noise.normal(6)
         if self._drift_deviation:
             self._drift = self._drift_kept * self._drift + self._drift_deviation * self._drift_noise.normal(3)
-            gyro = gyro + self._drift
-        return imu.encode(
-            gyro + self._gyro_bias + self._gyro_deviation * noise[:3],
-            force + self._force_bias + self._force_deviation * noise[3:],
-            self._imu,
-        )
+            motion = motion.copy()
+            motion[:3] += self._drift
+        return imu.pack(motion + self._bias + self._deviation * noise, self._resolution)
 
     def snapshot(self) -> Any:
         return self._noise.snapshot(), self._drift_noise.snapshot(), self._drift.copy()

@@ -64,7 +64,6 @@ class World:
         )
         self.data = mujoco.MjData(self.model)
         n = len(robot.joints)
-        self._n = n
         self._dt = 1.0 / config.rate
         self.data.qpos[:] = initial_qpos(self.model, robot, start)
         self._start = self.data.qpos.copy()
@@ -76,10 +75,13 @@ class World:
         self._bends = bends(self.model, robot)
         self._bend_at = [int(self.model.joint(name).qposadr[0]) for name in self._bends]
         self._applied = self.data.qfrc_applied
+        self._hoisted = True  # whether the hoist's force is, or may be, among what is applied
         self._torso = self.model.body(robot.base.name).id
         self._push = self.data.xfrc_applied[self._torso]
         self._rotation = self.data.xmat[self._torso]
         self._sensed = self.data.sensordata
+        self._sensed_items: memoryview[float] = memoryview(self._sensed)  # faster to read one by one
+        self._motion = self._sensed[21:27]  # of the IMU
         stages = np.repeat(self.model.sensor_needstage, self.model.sensor_dim)
         self._of_the_step_before = stages == mujoco.mjtStage.mjSTAGE_ACC  # forces and accelerations
         self._actuators = ActuatorBank(robot, self._dt, config.friction_scale, compile, self._q, self._dq)
@@ -93,8 +95,7 @@ class World:
             self.motion_capture = MotionCaptureSystem(
                 robot.motion_capture, motion_capture, sensors, self.model, self.data, streams
             )
-        self.pins_in = np.zeros((n, pins.N_INPUTS), np.int32)
-        self.pins_out = np.zeros((n, pins.N_OUTPUTS), np.int32)
+        self.attach_pins(np.zeros((n, pins.N_INPUTS), np.int32), np.zeros((n, pins.N_OUTPUTS), np.int32))
         self._ampere_per_count = np.array([joint.actuator.ampere_per_count for joint in robot.joints])
         self._steps = 0
         self._state_size = mujoco.mj_stateSize(self.model, mujoco.mjtState.mjSTATE_INTEGRATION)
@@ -105,10 +106,19 @@ class World:
 
         self.truth_fields = self._name_truth()
         self._truth = np.zeros(len(self.truth_fields))
+        self._angles, self._between, self._share = np.zeros(3), np.zeros(1), np.zeros(1)
+        self._bent = np.zeros(len(self._bends))
+        seen = self._actuators.observe()
+        self._truth_parts = (
+            self._q, self._dq, seen.motor, seen.motor_velocity, seen.torque, seen.current, seen.temperature,
+            self._sensed[0:3], self._angles, self._sensed[3:21], self._between, self._push[:3], self._share,
+            self.data.qpos, self._bent,
+        )  # fmt: skip
 
     def attach_pins(self, pins_in: np.ndarray, pins_out: np.ndarray) -> None:
         """Use these arrays as the pins, e.g. in memory shared with the drives."""
         self.pins_in, self.pins_out = pins_in, pins_out
+        self._demands, self._enabled = pins_out[:, pins.CURRENT_DEMAND], pins_out[:, pins.ENABLE]
 
     @property
     def steps(self) -> int:
@@ -129,7 +139,7 @@ class World:
 
     def sample(self) -> None:
         """Write the drives' input pins from the present state."""
-        sensed = self._sensed
+        sensed = self._sensed_items
         self._joint_sensors.write(self.pins_in, (-sensed[17], -sensed[20]))  # a foot's force on the ground points down
         if self.faults.on_pins:
             self.faults.apply(self.pins_in)
@@ -137,8 +147,8 @@ class World:
     def latch(self) -> None:
         """Let the drives' output pins take effect from now on."""
         current = self._actuators.current
-        np.multiply(self.pins_out[:, pins.CURRENT_DEMAND], self._ampere_per_count, out=current)
-        current *= self.pins_out[:, pins.ENABLE] != 0
+        np.multiply(self._demands, self._ampere_per_count, out=current)
+        current *= self._enabled != 0
 
     def step(self) -> None:
         """One physics step."""
@@ -147,7 +157,8 @@ class World:
         self._applied[joints] = self._actuators.step()
         if self.faults.loaded:
             self._applied[joints] += self.faults.load
-        self._hoist_base(self._hoist(now))
+        if self._hoisted:
+            self._hoist_base(self._hoist(now))
         if self._pushes:
             self._push[:3] = self._push_force(now + 0.5 * self._dt)  # mid-step: the impulse is exact
         # the second half of this step, then the first of the next: positions sensed are of the new state
@@ -159,33 +170,21 @@ class World:
 
     def imu(self) -> bytes:
         """One sample of the IMU on its wire."""
-        return self._imu.sample(self._sensed[21:24], self._sensed[24:27])
+        return self._imu.sample(self._motion)
 
     def truth(self) -> np.ndarray:
         """The physical truth now, float64, named by ``truth_fields``; the array is reused."""
-        n, row, sensed, act = self._n, self._truth, self._sensed, self._actuators.observe()
-        row[:n] = self._q
-        row[n : 2 * n] = self._dq
-        row[2 * n : 3 * n] = act.motor
-        row[3 * n : 4 * n] = act.motor_velocity
-        row[4 * n : 5 * n] = act.torque
-        row[5 * n : 6 * n] = act.current
-        row[6 * n : 7 * n] = act.temperature
-        at = 7 * n
-        row[at : at + 3] = sensed[0:3]
-        row[at + 3 : at + 6] = self._roll_pitch_yaw()
-        row[at + 6 : at + 24] = sensed[3:21]  # com, com_velocity, feet, contacts
-        at += 24
+        sensed = self._sensed_items
+        self._actuators.observe()
+        self._angles[:] = self._roll_pitch_yaw()
         # along the line from the left to the right foot; by hand, as products of a BLAS differ by processor
-        x, y, z = (sensed[9:12] - sensed[12:15]).tolist()
-        fx, fy, fz = (sensed[15:18] - sensed[18:21]).tolist()
-        row[at] = (x * fx + y * fy + z * fz) / math.sqrt(x * x + y * y + z * z)
-        row[at + 1 : at + 4] = self._push[:3]
-        row[at + 4] = self._hoist(self.time)
-        row[at + 5 : at + 5 + self.model.nq] = self.data.qpos
+        x, y, z = sensed[9] - sensed[12], sensed[10] - sensed[13], sensed[11] - sensed[14]
+        fx, fy, fz = sensed[15] - sensed[18], sensed[16] - sensed[19], sensed[17] - sensed[20]
+        self._between[0] = (x * fx + y * fy + z * fz) / math.sqrt(x * x + y * y + z * z)
+        self._share[0] = self._hoist(self.time)
         if self._bends:
-            row[-len(self._bends) :] = self.data.qpos[self._bend_at]
-        return row
+            np.take(self.data.qpos, self._bend_at, out=self._bent)
+        return np.concatenate(self._truth_parts, out=self._truth)
 
     def every_step(self) -> list[tuple[list[str], np.ndarray]]:
         """Names and views of what every physics step changes, to be copied after it: what the record of the last
@@ -249,6 +248,7 @@ class World:
         dofs = self._base_dofs
         if share == 0.0:
             self._applied[:dofs] = 0.0
+            self._hoisted = False
             return
         qpos, velocity = self.data.qpos, self.data.qvel[:dofs]
         if dofs == 4:  # planarizer: x, z, roll, pitch
@@ -297,6 +297,7 @@ class World:
         late = self._of_the_step_before
         self._sensed[late] = state["sensed"][late]
         self._steps = state["steps"]
+        self._hoisted = True
         self._actuators.restore(state["actuators"])
         self._joint_sensors.restore(state["joint_sensors"])
         self._imu.restore(state["imu"])

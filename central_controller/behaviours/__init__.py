@@ -1,8 +1,19 @@
 """What the controller does with the robot once the drives are on: one class per behaviour."""
 
 from central_controller.behaviours.behaviour import Behaviour
-from central_controller.behaviours.open_loop import OpenLoop
-from central_controller.behaviours.stand import Stand
-from central_controller.behaviours.step import Step
 
-BEHAVIOURS: dict[str, type[Behaviour]] = {"stand": Stand, "step": Step, "open_loop": OpenLoop}  # by configured name
+
+def behaviour_class(name: str) -> type[Behaviour]:
+    """The behaviour of this configured name. It is imported here: planning an open loop takes SciPy's splines, which
+    take longer to load than all of the others together."""
+    if name == "stand":
+        from central_controller.behaviours.stand import Stand
+
+        return Stand
+    if name == "step":
+        from central_controller.behaviours.step import Step
+
+        return Step
+    from central_controller.behaviours.open_loop import OpenLoop
+
+    return OpenLoop

@@ -7,7 +7,9 @@ state that the pendulum observer tells.
 from __future__ import annotations
 
 import math
+import struct
 from enum import IntEnum
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -15,7 +17,7 @@ import numpy as np
 from bus import messages
 from bus.messages import GainSet, Mode
 from central_controller.behaviours.behaviour import Compile, Phase, Setpoints, Workspace, ramp
-from central_controller.binding import Bound
+from central_controller.binding import Bound, items
 from central_controller.estimation.pendulum_observer import PendulumObserver
 from central_controller.planning.height_surface import over_blocks
 from central_controller.planning.pendulum import Foot, Pendulum, PendulumState
@@ -74,8 +76,7 @@ class Step:
         self._dt = 1.0 / config.rate
         self._weight = robot.mass * robot.gravity
         self.telemetry = np.zeros(len(self.fields(robot)))
-        self._own = {name: k for k, name in enumerate(self.fields(robot))}
-        self._torque_at = self._own[f"torque_command.{robot.joint_names[0]}"]
+        self._torque_at = self.fields(robot).index(f"torque_command.{robot.joint_names[0]}")
         self.torque = self.telemetry[self._torque_at : self._torque_at + n]
         self.memory, self.memory_next = np.zeros(4 + n), np.zeros(4 + n)
         self.setpoints = Setpoints(n, Mode.TORQUE, GainSet.STANCE)
@@ -86,10 +87,13 @@ class Step:
             False: gains.double(self._dt), True: gains.single(self._dt)
         }  # fmt: skip
         self._seen = np.zeros(sum(OBSERVED.values()))
+        self._see = items(self._seen)
         self._law_torque = np.zeros(n)
         self._anchor, self._push = np.zeros(3), np.zeros(3)
         self._integral, self._integral_next = np.zeros(8), np.zeros(8)
         self._reference, self._gains = np.zeros((3, 8), order="F"), np.zeros((3, 8), order="F")
+        columns = self._reference.T.reshape(-1)  # of the same memory
+        self._refer_foot = partial(struct.Struct("9d").pack_into, columns.data, columns.itemsize * 3 * _FOOT)
         self._integrate = np.zeros(1)
         inputs = {
             **model.sources, "counts": workspace.counts, "q": workspace.q, "v": workspace.v,
@@ -121,6 +125,7 @@ class Step:
         self._observer: PendulumObserver | None = None
         self._planner: VelocityReversalPlanner | None = None
         self._pendulum: Pendulum | None = None
+        self._arrange()
 
     @staticmethod
     def fields(robot: Robot) -> list[str]:
@@ -158,7 +163,8 @@ class Step:
         share = 1.0 if phase is Phase.ON else ramp(self._config.weight_ramp, self._config.rate, now_ns - since_ns)
         self._integrate[0] = phase is Phase.ON
         np.subtract(self._law_torque, self._held, out=self.torque)
-        self.torque *= share
+        if share != 1.0:
+            self.torque *= share
         self.torque += self._held
 
     def take_over(self) -> None:
@@ -303,14 +309,15 @@ class Step:
             self._push[:] = self._landed_force * min(1.0, (now - self._since) / max(timing.loading, self._dt))
         elif state in (State.LIFTING, State.LANDING):
             x, y, z, vx, vy, vz, ax, ay, az = self._swing_path.at(now)
-            self._reference[:, _FOOT:] = (x, y, z), (vx, vy, vz), (ax, ay, az)
-        self._push *= self._stepping.transition
+            self._refer_foot(x, vx, ax, y, vy, ay, z, vz, az)
+        if not self._stepping.transition:
+            self._push *= 0.0
 
     def _reference_of_body(self, now: float) -> None:
         reference = self._reference
         reference[:, :_FOOT] = 0.0
         self._refer_to_surface()
-        yaw, limit = float(self._seen[_RPY][2]), self._stepping.yaw_error_limit
+        yaw, limit = self._see[_RPY.start + 2], self._stepping.yaw_error_limit
         reference[0, _YAW] = yaw - min(limit, max(-limit, yaw))
         t = now - self._since
         if self._state is State.LEANING:
@@ -338,8 +345,9 @@ class Step:
         the centre of mass is not between them, and a foot that has landed is not asked to pull. 0 where y is held."""
         if not self._stepping.gains.double_support.com_y.kp:
             return 0.0
-        feet, y = self._seen[_FEET], float(self._seen[_COM][1])
-        return self._space.robot.gravity / self._height * (y - float(feet[1] + feet[4]) / 2)
+        see, feet = self._see, _FEET.start
+        middle = (see[feet + 1] + see[feet + 4]) / 2
+        return self._space.robot.gravity / self._height * (see[_COM.start + 1] - middle)
 
     def _hold_foot(self) -> None:
         """The swing foot shall stay where it is."""
@@ -420,36 +428,36 @@ class Step:
 
     # --- telemetry --------------------------------------------------------------------------------------------
 
+    def _arrange(self) -> None:
+        """What the telemetry is put together from, every tick: around the torques, which are written where they lie."""
+        space, n, seen, reference = self._space, self._n, self._seen, self._reference
+        self._sensed_torque, self._counted_torque = np.zeros(n), space.counts[2 * n :]
+        self._progress = np.zeros(4)  # state, steps, which feet carry
+        self._foreseen = np.zeros(12)  # the pendulum, and the last plan
+        before = (seen[:6], seen[:1], reference[0, _COM_Z : _COM_Z + 1], seen[_RPY])
+        behind = (
+            self._sensed_torque, space.q[7:], space.v[6:], self._progress, seen[_FEET], seen[_FELT],
+            reference[0, _FOOT:], self._foreseen,
+        )  # fmt: skip
+        self._parts = (before, self.telemetry[:11]), (behind, self.telemetry[self._torque_at + n :])
+        self._told: Plan | None = None  # the plan that is in ``_foreseen``
+
     def _observe(self) -> None:
-        space, n, row, seen = self._space, self._n, self.telemetry, self._seen
-        self.memory_next[:4] = space.q[3:7]
-        self.memory_next[4:] = space.v[6:]
-        row[:6] = seen[:6]
-        row[6], row[7] = seen[0], self._reference[0, _COM_Z]
-        row[8:11] = seen[_RPY]
-        at = self._torque_at + n
-        row[at : at + n] = space.counts[2 * n :]
-        row[at : at + n] *= messages.NEWTON_METRE
-        row[at + n : at + 2 * n] = space.q[7:]
-        row[at + 2 * n : at + 3 * n] = space.v[6:]
-        at += 3 * n
-        row[at], row[at + 1] = self._state, self._steps
-        row[at + 2] = self._stance in (None, 0)
-        row[at + 3] = self._stance in (None, 1)
-        at += 4
-        row[at : at + 6] = seen[_FEET]
-        row[at + 6 : at + 12] = seen[_FELT]
-        row[at + 12 : at + 15] = self._reference[0, _FOOT:]
-        at += 15
-        observer = self._observer
+        self.memory_next[:4] = self._space.q[3:7]
+        self.memory_next[4:] = self._space.v[6:]
+        np.multiply(self._counted_torque, messages.NEWTON_METRE, out=self._sensed_torque)
+        self._progress[:] = self._state, self._steps, self._stance != 1, self._stance != 0
+        observer, plan = self._observer, self._planned
         if observer is not None:
-            row[at : at + 4] = observer.x, observer.y, observer.vx, observer.vy
-        plan = self._planned
-        if plan is not None:
-            row[at + 4 : at + 12] = (
+            self._foreseen[:4] = observer.x, observer.y, observer.vx, observer.vy
+        if plan is not None and plan is not self._told:
+            self._told = plan
+            self._foreseen[4:] = (
                 plan.foot.x, plan.foot.y, plan.switching.x, plan.switching.y, plan.switching.vx, plan.switching.vy,
                 plan.remaining, plan.extension,
             )  # fmt: skip
+        for parts, place in self._parts:
+            np.concatenate(parts, out=place)
 
     # --- state ------------------------------------------------------------------------------------------------
 
@@ -479,6 +487,7 @@ class Step:
             getattr(self, name)[:] = state[name]
         for name in self._PLAIN:
             setattr(self, name, state[name])
+        self._foreseen[:], self._told = self.telemetry[-len(self._foreseen) :], None
         self.setpoints.gain_sets[:] = state["gain_sets"]
         self.setpoints.modes[:] = state["modes"]
         self.setpoints.positions = state["positions"]

@@ -107,8 +107,8 @@ def as_planned(sent: Sequence[Traffic], config: BusConfig) -> dict[str, int]:
     longest = dict.fromkeys((t.name for t in planned), 0)
     intermission = BitRates(config.arbitration_rate, config.data_rate).ns(INTERMISSION)
     for at, port in [*releases, (2 * _SECOND, -1)]:
-        while wire.next_time() < at:
-            for delivery in wire.advance(wire.next_time()):
+        while wire.next_ns < at:
+            for delivery in wire.advance(wire.next_ns):
                 name = planned[delivery.sender].name
                 response = delivery.time + intermission - waiting[delivery.sender].pop(0)
                 longest[name] = max(longest[name], response)

@@ -66,13 +66,14 @@ class Monitor:
         self._state_age = controller.index("state_age")
         self._height: float | None = None
         self._stood: list[np.ndarray] | None = None
+        self._origin = (0.0, 0.0)  # x, z of the midpoint of the feet then, which is the controller's origin
 
     def snapshot(self) -> dict[str, Any]:
         stood = None if self._stood is None else [place.copy() for place in self._stood]
-        return {"height": self._height, "stood": stood}
+        return {"height": self._height, "stood": stood, "origin": self._origin}
 
     def restore(self, state: dict[str, Any]) -> None:
-        self._height, self._stood = state["height"], state["stood"]
+        self._height, self._stood, self._origin = state["height"], state["stood"], state["origin"]
 
     def fallen(self, now_ns: int, world: np.ndarray) -> str | None:
         """One sentence when the robot has fallen by now, else None."""
@@ -104,6 +105,8 @@ class Monitor:
             return None
         if self._stood is None:
             self._stood = [world[i : i + 3].copy() for i in self._feet]
+            x, _, z = np.mean(self._stood, axis=0).tolist()
+            self._origin = x, z
         for name, start, i in zip(self._feet_names, self._stood, self._feet, strict=True):
             slip = math.dist(world[i : i + 3], start)
             if slip > limits.foot_slip:
@@ -111,9 +114,8 @@ class Monitor:
                 return f"foot slipped: {name} by {1e3 * slip:.0f} mm {limit} at {time:.2f} s"
         if time < limits.settle or controller[self._phase] < _ON:
             return None
-        # the controller's origin is the midpoint of the feet
-        x, _, z = np.mean(self._stood, axis=0)
-        com_x, com_z = world[self._com]
+        x, z = self._origin
+        com_x, com_z = world[self._com].tolist()
         error = math.dist((com_x - x, com_z - z), controller[self._reference])
         if error > limits.com_error:
             return f"CoM error {1e3 * error:.1f} mm (limit {1e3 * limits.com_error:.1f} mm) at {time:.2f} s"

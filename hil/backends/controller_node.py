@@ -21,9 +21,17 @@ def main(descriptor: int, parent: int) -> None:
 
     import zenoh
 
-    from bus.zenoh_link import MalformedBundleError, Refused, declare_publisher, decode_bundle, keys, peer_config
+    from bus.zenoh_link import (
+        MalformedBundleError,
+        Refused,
+        declare_publisher,
+        decode_bundle,
+        encode_bundle,
+        keys,
+        peer_config,
+    )
     from central_controller.controller import Controller
-    from hil.backends.inline import serve
+    from hil.backends.inline import tick
     from hil.backends.state_pipe import serve_pipe
     from hil.compiled import compile_function
     from robots import description
@@ -52,7 +60,9 @@ def main(descriptor: int, parent: int) -> None:
             refused.unexpected += 1
             continue
         due = (due + 1) & 0xFFFFFFFF
-        publisher.put(serve(controller, request))
+        now = request.time_ns
+        answer = [(now, *command) for command in tick(controller, now, request.items)]
+        publisher.put(encode_bundle(request.sequence, now, answer, controller.telemetry))
 
 
 if __name__ == "__main__":

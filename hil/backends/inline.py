@@ -1,14 +1,16 @@
-"""The inline backend: the same nodes and the same bytes in one process, for sweeps and for a debugger."""
+"""The inline backend: the same nodes and the same frames in one process, for sweeps and for a debugger.
+
+What the other backend packs for Zenoh goes from hand to hand here: a bundle is read as it was written.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from bus.frames import Frame
-from bus.zenoh_link import Bundle, decode_bundle, encode_bundle
 from hil.system import Item
 
 if TYPE_CHECKING:
@@ -42,35 +44,26 @@ class InlineJoints:
             node.restore(state)
 
 
-def serve(controller: Controller, request: Bundle) -> bytes:
-    """One tick of the controller, bundle in, bundle out: what travels over Zenoh in the processes backend."""
-    for arrival, source, can_id, data in request.items:
-        controller.receive(arrival, source, can_id, data)
-    commands = controller.tick(request.time_ns)
-    items = [(request.time_ns, bus, can_id, data) for bus, can_id, data in commands]
-    return encode_bundle(request.sequence, request.time_ns, items, controller.telemetry)
-
-
-def commands_of(reply: Bundle) -> list[Item]:
-    """The commands in a controller's answer."""
-    return [(source, can_id, data) for _, source, can_id, data in reply.items]
+def tick(controller: Controller, time_ns: int, items: Iterable[tuple[int, int, int, bytes]]) -> list[Item]:
+    """One tick of the controller: its commands for what has arrived."""
+    receive = controller.receive
+    for arrival, source, can_id, data in items:
+        receive(arrival, source, can_id, data)
+    return controller.tick(time_ns)
 
 
 class InlineController:
-    """The controller node, behind the same encoding as over Zenoh."""
+    """The controller node."""
 
     def __init__(self, controller: Controller) -> None:
         self._controller = controller
-        self._sequence = 0
-        self._answer = b""
+        self._commands: list[Item] = []
 
     def start(self, now_ns: int, items: list[tuple[int, int, int, bytes]]) -> None:
-        self._sequence = (self._sequence + 1) & 0xFFFFFFFF
-        self._answer = serve(self._controller, decode_bundle(encode_bundle(self._sequence, now_ns, items)))
+        self._commands = tick(self._controller, now_ns, items)
 
     def finish(self) -> tuple[list[Item], np.ndarray]:
-        reply = decode_bundle(self._answer)
-        return commands_of(reply), reply.values
+        return self._commands, self._controller.telemetry
 
     def snapshot(self) -> Any:
         return self._controller.snapshot()

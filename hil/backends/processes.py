@@ -32,7 +32,6 @@ from bus.zenoh_link import (
     peer_config,
     session_config,
 )
-from hil.backends.inline import commands_of
 from hil.backends.lifecycle import Family, quiet_collector
 from hil.backends.state_pipe import connections, receive, serve_pipe
 from hil.errors import EmulationError
@@ -220,7 +219,7 @@ class ProcessController:
 
     def finish(self) -> tuple[list[Item], np.ndarray]:
         reply = self._family.wait(self._answer, "the controller")
-        return commands_of(reply), reply.values
+        return [(bus, can_id, data) for _, bus, can_id, data in reply.items], reply.values
 
     def _answer(self) -> Bundle | None:
         """The awaited answer, if it has come."""

@@ -134,6 +134,7 @@ class KernelWire:
     """The calendar's side of a bus that is an interface of the kernel: nothing on it takes time."""
 
     busy_ns = lost = errors = refused = 0
+    told: tuple[()] = ()
 
     def __init__(self, name: str, end: SocketCanPort, node_ids: Sequence[int]) -> None:
         self.name = name
@@ -156,7 +157,8 @@ class KernelWire:
         """A frame that the kernel has brought: a joint's by its identifier, or a tool's."""
         self._queue.append(Delivery(now_ns, self._port_of.get(frame.id, self.ports - 1), frame))
 
-    def next_time(self) -> int:
+    @property
+    def next_ns(self) -> int:
         return self._queue[0].time if self._queue else NEVER
 
     def advance(self, now_ns: int) -> list[Delivery]:

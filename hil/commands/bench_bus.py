@@ -85,12 +85,12 @@ def wire_alone(seconds: float) -> dict[str, float]:
     wire, offers = _wire(), _frames()
 
     def burst() -> int:
-        now, delivered = wire.next_time(), 0
+        now, delivered = wire.next_ns, 0
         now = 0 if now == NEVER else now
         for four in range(0, _POOL, 4):
             for port, frame in offers[four : four + 4]:
                 wire.offer(now, port, frame)
-            while (due := wire.next_time()) != NEVER:
+            while (due := wire.next_ns) != NEVER:
                 now = due
                 delivered += len(wire.advance(now))
         return delivered
@@ -102,7 +102,7 @@ def _serve(wire: Wire, server: PortServer, now: int) -> int:
     """Put what the clients have sent through the wire and hand it out; returns the time."""
     for frame in server.poll():
         wire.offer(now, 0, frame)
-        while (due := wire.next_time()) != NEVER:
+        while (due := wire.next_ns) != NEVER:
             now = due
             for delivery in wire.advance(now):
                 server.broadcast(delivery.time, delivery.sender, delivery.frame)

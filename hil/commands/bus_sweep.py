@@ -30,8 +30,9 @@ class LoadedWire:
     def __getattr__(self, name: str) -> Any:
         return getattr(self._wire, name)
 
-    def next_time(self) -> int:
-        return min(self._wire.next_time(), self._due)
+    @property
+    def next_ns(self) -> int:
+        return min(self._wire.next_ns, self._due)
 
     def advance(self, now_ns: int) -> Any:
         while self._due <= now_ns:

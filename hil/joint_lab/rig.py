@@ -66,10 +66,10 @@ class Rig:
         while True:
             drive, servo = tick_ns(self._tick, self._rate), self._phase_ns + tick_ns(self._servo_tick, self._servo_rate)
             answer = self._commands[0][0] if self._commands else NEVER
-            now = min(self.wire.next_time(), drive, servo, answer)
+            now = min(self.wire.next_ns, drive, servo, answer)
             if now >= end:
                 break
-            if self.wire.next_time() <= now:
+            if self.wire.next_ns <= now:
                 self._deliver(now)
             if drive == now:
                 self._interrupt(now)
@@ -83,7 +83,7 @@ class Rig:
         self.recorder.flush(end)
 
     def _deliver(self, now: int) -> None:
-        for time, sender, frame in self.wire.advance(now):
+        for time, sender, frame, _ in self.wire.advance(now):
             self.recorder.frame(time, 0, frame)
             if sender == _DRIVE:
                 self.master.receive(frame)

@@ -51,12 +51,13 @@ def _numbers(record: Mapping[str, Any]) -> str:
 
 def _came_first(record: Mapping[str, Any], directory: Path) -> str:
     """What began before the run failed, in order; nothing for one that is stable."""
-    from hil.analysis.causes import Sign
+    signs = record.get("came_first")
+    if not signs:
+        return ""
+    from hil.analysis.causes import Sign  # slow to import
     from hil.record.ring import LAST_SECONDS_FILE
 
-    items = "".join(f"<li>{html.escape(str(Sign(**sign)))}</li>" for sign in record.get("came_first", ()))
-    if not items:
-        return ""
+    items = "".join(f"<li>{html.escape(str(Sign(**sign)))}</li>" for sign in signs)
     file = ""
     if (directory / LAST_SECONDS_FILE).exists():
         file = f'<p>The last seconds, every physics step: <a href="{LAST_SECONDS_FILE}">{LAST_SECONDS_FILE}</a></p>'

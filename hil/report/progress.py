@@ -46,8 +46,8 @@ class Display:
             return
         self._next = now + _PERIOD_S
         simulated = system.now_ns * 1e-9
-        error = system.com_error()
-        load = " ".join(f"{100 * share:.0f} %" for share in system.bus_loads())
+        error = system.observer.com_error()
+        load = " ".join(f"{100 * share:.0f} %" for share in system.observer.bus_loads())
         speed = simulated / elapsed if elapsed > 0 else math.nan
         text = f"{speed:4.2f}× real time  CoM {1e3 * error:5.1f} mm  bus {load}"
         self._progress.update(self._task, completed=simulated, text=text)

@@ -122,7 +122,7 @@ class StandaloneBus:
 
     def _upcoming(self) -> int:
         """Time of the next event on the wire, or of the next frame of a talker."""
-        return min(self._wire.next_time(), *[talker.next_ns for talker in self._talkers])
+        return min(self._wire.next_ns, *[talker.next_ns for talker in self._talkers])
 
     def _advance(self, due: int, now: int) -> None:
         """The events of the time ``due``, looked at at ``now``."""

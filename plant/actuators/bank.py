@@ -101,6 +101,8 @@ class ActuatorBank:
         ])  # fmt: skip
         self.arguments = (self.state, self.current, self.supply, q, dq, self.p)
         self._observed = np.zeros((len(Sensed._fields), n))
+        self._seen = Sensed(*self._observed)
+        self._bound: list[Any] = []  # CasADi keeps addresses only
         self._evaluate = self.bind(compile(self.symbols.step()), self._next, self.torque)
         self._observe = self.bind(compile(self.symbols.observe()), self._observed.reshape(-1))
         self.place()
@@ -113,12 +115,8 @@ class ActuatorBank:
             buffer.set_arg(index, memoryview(array))  # type: ignore[call-arg, arg-type]
         for index, array in enumerate(results):
             buffer.set_res(index, memoryview(array))  # type: ignore[call-arg, arg-type]
-
-        def call() -> None:
-            evaluate()
-
-        call.memory = buffer, arguments, results  # type: ignore[attr-defined]  # CasADi keeps addresses only
-        return call
+        self._bound.append((buffer, arguments, results))
+        return evaluate
 
     def place(self) -> None:
         """Put all actuators at rest, without effort, where the joints are."""
@@ -135,7 +133,7 @@ class ActuatorBank:
     def observe(self) -> Sensed:
         """What there is to measure now, one array (n,) per field; they are reused."""
         self._observe()
-        return Sensed(*self._observed)
+        return self._seen
 
     def parameters(self, joint: int) -> tuple[str, ...]:
         """Names of what ``get`` and ``set`` know of ``joint``."""

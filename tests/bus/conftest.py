@@ -26,8 +26,8 @@ def pump(run: str, channel: str, ready: Event, stop: Event) -> None:
     start = time.monotonic_ns()
     while not stop.is_set():
         now = time.monotonic_ns() - start
-        while wire.next_time() <= now:
-            for delivery in wire.advance(wire.next_time()):
+        while wire.next_ns <= now:
+            for delivery in wire.advance(wire.next_ns):
                 server.broadcast(delivery.time, delivery.sender, delivery.frame)
         for frame in server.poll(now):
             if not wire.offer(now, TOOLS, frame):

@@ -24,11 +24,11 @@ def sent(one: Wire, n: int) -> list[Delivery]:
     """What comes of ``n`` frames offered 1 ms apart, numbered by their data."""
     delivered = []
     for k in range(n):
-        while one.next_time() < k * MS:
-            delivered += one.advance(one.next_time())
+        while one.next_ns < k * MS:
+            delivered += one.advance(one.next_ns)
         one.offer(k * MS, 1, Frame(0x181, k.to_bytes(8, "little")))
-    while one.next_time() != NEVER:
-        delivered += one.advance(one.next_time())
+    while one.next_ns != NEVER:
+        delivered += one.advance(one.next_ns)
     return delivered
 
 
@@ -80,17 +80,17 @@ def test_a_restored_wire_with_every_impairment_continues_identically(seed: int, 
 
     def run(one: Wire) -> list[Delivery]:
         delivered = []
-        while one.next_time() != NEVER:
-            delivered += one.advance(one.next_time())
+        while one.next_ns != NEVER:
+            delivered += one.advance(one.next_ns)
         return delivered
 
     one = loaded()
     for n in range(40):
         one.offer(0, n % 4, Frame(0x100 + 7 * n % 40, bytes([n]) * 8))
     for _ in range(steps):
-        if one.next_time() == NEVER:
+        if one.next_ns == NEVER:
             break
-        one.advance(one.next_time())
+        one.advance(one.next_ns)
     saved = pickle.loads(pickle.dumps(one.snapshot()))
     expected = run(one), one.snapshot()
     other = loaded()

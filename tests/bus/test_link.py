@@ -14,13 +14,13 @@ def link(seed: int = 1, **values: object) -> Link:
 
 def test_a_perfect_link_delivers_at_once_and_in_order() -> None:
     perfect = link()
-    assert perfect.next_time() == NEVER
+    assert perfect.next_ns == NEVER
     for n in range(5):
         perfect.send(10, n, 100)
-    assert perfect.next_time() == 10
+    assert perfect.next_ns == 10
     assert perfect.pop_due(9) == []
     assert perfect.pop_due(10) == [(10, n) for n in range(5)]
-    assert perfect.next_time() == NEVER
+    assert perfect.next_ns == NEVER
 
 
 @given(st.lists(st.integers(0, 3_000_000), min_size=1, max_size=40).map(sorted), st.integers(0, 100))
@@ -30,8 +30,8 @@ def test_arrivals_are_ordered_and_within_delay_and_jitter(sent_at: list[int], se
     for n, now in enumerate(sent_at):
         arrived += late.pop_due(now)
         late.send(now, n, 8)
-    while late.next_time() != NEVER:
-        now = late.next_time()
+    while late.next_ns != NEVER:
+        now = late.next_ns
         due = late.pop_due(now)
         assert due and all(arrival == now for arrival, _ in due)
         arrived += due
@@ -45,7 +45,7 @@ def test_lost_and_damaged_samples_vanish_and_are_counted() -> None:
     assert_all_lost = link(loss=1.0), link(bit_error_rate=1.0)
     for broken in assert_all_lost:
         broken.send(0, b"x", 8)
-        assert (broken.sent, broken.lost, broken.next_time()) == (1, 1, NEVER)
+        assert (broken.sent, broken.lost, broken.next_ns) == (1, 1, NEVER)
     mended = assert_all_lost[0]
     mended.set("loss", 0.0)
     mended.send(1, b"y", 8)

@@ -152,15 +152,15 @@ class Traffic:
         events: list[list[int]] = [[] for _ in self.messages]
         longest = [0] * len(self.messages)
         at = 0
-        while at < len(pending) or wire.next_time() < NEVER:
+        while at < len(pending) or wire.next_ns < NEVER:
             queued = pending[at][0] if at < len(pending) else NEVER
-            now = min(queued, wire.next_time())
+            now = min(queued, wire.next_ns)
             while at < len(pending) and pending[at][0] == now:
                 _, event, m = pending[at]
                 assert wire.offer(now, m, self.frames[m])
                 events[m].append(event)
                 at += 1
-            if wire.next_time() == now:
+            if wire.next_ns == now:
                 for delivery in wire.advance(now):
                     m = delivery.sender
                     longest[m] = max(longest[m], delivery.time + 3 * US - events[m].pop(0))

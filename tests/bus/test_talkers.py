@@ -31,20 +31,20 @@ def run(
     """All deliveries before ``end`` of talkers and of ``offers`` (time, port, frame)."""
     delivered, waiting = [], sorted(offers or [], key=lambda o: o[0])
     while True:
-        now = min(wire.next_time(), *[t.next_ns for t in talkers], waiting[0][0] if waiting else NEVER)
+        now = min(wire.next_ns, *[t.next_ns for t in talkers], waiting[0][0] if waiting else NEVER)
         if now >= end:
             return delivered
         for talker in talkers:
             talker.advance(now)
         while waiting and waiting[0][0] <= now:
             wire.offer(*waiting.pop(0))
-        if wire.next_time() <= now:
+        if wire.next_ns <= now:
             delivered += wire.advance(now)
 
 
 def test_who_is_off_sends_nothing() -> None:
     wire, babbler, background = bus()
-    assert (babbler.next_ns, background.next_ns, wire.next_time()) == (NEVER, NEVER, NEVER)
+    assert (babbler.next_ns, background.next_ns, wire.next_ns) == (NEVER, NEVER, NEVER)
 
 
 def test_a_babbler_keeps_its_rate() -> None:

@@ -25,7 +25,7 @@ def wire(**config: Any) -> Wire:
 def run(one: Wire, until_ns: int = NEVER - 1) -> list[Delivery]:
     """All that is delivered by ``until_ns``."""
     delivered = []
-    while (due := one.next_time()) <= until_ns:
+    while (due := one.next_ns) <= until_ns:
         delivered += one.advance(due)
     return delivered
 
@@ -75,9 +75,9 @@ def test_the_bus_is_free_11_bits_after_a_stuck_node_is_gone() -> None:
     one = wire()
     one.stuck_dominant(0, True, 0)
     one.offer(0, 1, Frame(0x10, b""))
-    assert run(one, 10_000_000) == [] and one.next_time() == NEVER
+    assert run(one, 10_000_000) == [] and one.next_ns == NEVER
     assert one.unplug(0, 20_000_000)
-    assert one.next_time() == 20_000_000 + 11 * BIT_NS
+    assert one.next_ns == 20_000_000 + 11 * BIT_NS
     assert [d.frame.id for d in run(one)] == [0x10]
 
 

@@ -22,8 +22,8 @@ def wire(seed: int = 1, ports: int = 5, **values: object) -> Wire:
 
 def run(one: Wire, until: int = NEVER - 1) -> list[Delivery]:
     delivered = []
-    while one.next_time() <= until:
-        delivered += one.advance(one.next_time())
+    while one.next_ns <= until:
+        delivered += one.advance(one.next_ns)
     return delivered
 
 
@@ -34,15 +34,15 @@ def duration(frame: Frame) -> int:
 
 def test_a_frame_arrives_after_its_duration_and_not_a_nanosecond_before() -> None:
     one, frame = wire(), Frame(0x181, bytes(range(24)))
-    assert one.next_time() == NEVER
+    assert one.next_ns == NEVER
     one.offer(5_000, 1, frame)
-    assert one.next_time() == 5_000
+    assert one.next_ns == 5_000
     assert one.advance(5_000) == []
     end = 5_000 + duration(frame)
-    assert one.next_time() == end
+    assert one.next_ns == end
     assert one.advance(end - 1) == []
     assert one.advance(end) == [Delivery(end, 1, frame)]
-    assert one.next_time() == NEVER
+    assert one.next_ns == NEVER
     assert (one.sent, one.errors, one.lost) == (1, 0, 0)
     assert one.busy_ns == frame_ns(frame, 1e6, 5e6)
 
@@ -53,10 +53,10 @@ def test_the_next_frame_starts_after_the_intermission() -> None:
     one.advance(0)
     end = duration(first)
     one.offer(end - 10, 1, second)
-    assert one.next_time() == end
+    assert one.next_ns == end
     one.advance(end)
     one.offer(end + 1, 2, Frame(0x102, b""))  # within the intermission: waits for its end, and loses there
-    assert one.next_time() == end + 3 * BIT
+    assert one.next_ns == end + 3 * BIT
     delivered = run(one)
     assert [d.frame.id for d in delivered] == [0x101, 0x102]
     assert delivered[0].time == end + 3 * BIT + duration(second)
@@ -84,7 +84,7 @@ def test_frames_offered_at_once_go_by_identifier_and_order(offers: list[tuple[in
     waits = one.waits()
     assert sum(w.frames for w in waits.values()) == len(offers)
     last_started = now - frame_ns(expected[-1][1], 1e6, 5e6)
-    assert max(w.longest for w in waits.values()) == one.longest_wait_ns == last_started
+    assert max(w.longest for w in waits.values()) == last_started
     assert all(w.shortest <= w.mean <= w.longest for w in waits.values())
     assert one.collisions == one.errors == 0 and one.error_frames() == []
 
@@ -205,7 +205,7 @@ def test_an_impossible_frame_is_refused_where_it_is_offered() -> None:
     one = wire()
     with pytest.raises(InvalidFrameError):
         one.offer(0, 1, Frame(0x800, b""))
-    assert one.next_time() == NEVER
+    assert one.next_ns == NEVER
 
 
 @given(st.integers(0, 1000), st.integers(0, 60))
@@ -220,9 +220,9 @@ def test_a_restored_wire_continues_identically(seed: int, steps: int) -> None:
     one.cut(4, True, 0)
     one.damage(0x107, 2, "data:3")
     for _ in range(steps):
-        if one.next_time() == NEVER:
+        if one.next_ns == NEVER:
             break
-        one.advance(one.next_time())
+        one.advance(one.next_ns)
     saved = pickle.loads(pickle.dumps(one.snapshot()))
     expected = run(one), one.snapshot()
     other = loaded(seed)

@@ -39,10 +39,10 @@ def wire(seed: int = 1, ports: int = 5, **values: object) -> Wire:
 
 def run(one: Wire, until: int = NEVER - 1, events: int = 100_000) -> list[Delivery]:
     delivered: list[Delivery] = []
-    while one.next_time() <= until and events:
-        now = one.next_time()
-        delivered += [Delivery(*d, d.missed) for d in one.advance(now)]
-        assert one.next_time() >= now
+    while one.next_ns <= until and events:
+        now = one.next_ns
+        delivered += [Delivery(*d) for d in one.advance(now)]
+        assert one.next_ns >= now
         events -= 1
     assert events, "the wire does not come to rest"
     return delivered
@@ -85,7 +85,7 @@ def test_a_frame_without_its_sof_is_followed_by_two_flags_and_sent_again() -> No
         (BIT, 1, b"\x88\x03"), *[(7 * BIT, port, b"\x04\x02") for port in (0, 2, 3, 4)]
     ]  # fmt: skip
     assert one.error_frames() == []
-    assert one.next_time() == restart
+    assert one.next_ns == restart
     delivered = run(one)
     assert delivered[0] == Delivery(restart + duration(frame), 1, frame)
     assert delivered[1].frame.data == b"\x01" * 24
@@ -227,7 +227,7 @@ def test_a_lonely_node_becomes_error_passive_and_no_more(alone: str) -> None:
     assert {e.data[6] for _, _, e in told} == {128}
     assert [at for at, _, _ in told] == [after + (n * passive + until_ack) * BIT for n in range(20)]
     if one.ports > 1:  # somebody comes to help
-        now = one.next_time()
+        now = one.next_ns
         (one.cut if alone == "cut" else one.listen_only)(2, False, now)
         *repeated, delivery = run(one)
         assert delivery.frame == frame and one.ports_state(0).tec == 127
@@ -335,7 +335,7 @@ def test_bus_off_after_32_errors_and_back_after_128_times_11_recessive_bits() ->
     one.offer(0, 1, frame)
     told = []
     while one.ports_state(1).state is not State.BUS_OFF:
-        one.advance(one.next_time())
+        one.advance(one.next_ns)
         told += one.error_frames()
     one.set("bit_error_rate", 0.0)
     assert one.errors == 32
@@ -361,7 +361,7 @@ def test_on_request_a_node_stays_bus_off_until_it_is_restarted() -> None:
     one.damage(0x123, 1, "data:3")
     one.offer(0, 1, frame)
     assert run(one) == [] and one.ports_state(1).state is State.BUS_OFF
-    assert one.next_time() == NEVER
+    assert one.next_ns == NEVER
     now = 10**9
     one.restart(2, now)  # is not bus off: nothing happens
     one.restart(1, now)
@@ -414,7 +414,7 @@ def test_a_cut_node_neither_sends_receives_nor_acknowledges() -> None:
     one.offer(0, 0, frame)
     assert run(one) == [Delivery(duration(frame), 0, frame, missed=1 << 1)]
     one.cut(1, False, 10**9)
-    assert one.next_time() == 10**9
+    assert one.next_ns == 10**9
     (delivery,) = run(one)
     assert delivery == Delivery(10**9 + duration(classical(0x001)), 1, classical(0x001))
 
@@ -435,7 +435,7 @@ def test_a_wire_stuck_in_a_frame_drives_its_sender_off_the_bus_and_the_others_pa
     one.advance(0)
     at = 40 * BIT
     one.stuck_dominant(4, True, at)
-    assert run(one) == [] and one.next_time() == NEVER
+    assert run(one) == [] and one.next_ns == NEVER
     assert one.ports_state(1).state is State.BUS_OFF
     assert {one.ports_state(port).state for port in (0, 2, 3, 4)} == {State.ERROR_PASSIVE}
     told = one.error_frames()
@@ -444,7 +444,7 @@ def test_a_wire_stuck_in_a_frame_drives_its_sender_off_the_bus_and_the_others_pa
     first = next(time for time, port, _ in told if port == 1)
     assert at < first <= at + 5 * BIT and off == first + (6 + 31 * 8) * BIT
     one.offer(10**9, 2, classical(0x050))
-    assert one.next_time() == NEVER  # nothing passes
+    assert one.next_ns == NEVER  # nothing passes
     let_go = 2 * 10**9
     one.stuck_dominant(4, False, let_go)
     busy = one.busy_ns
@@ -524,9 +524,9 @@ def test_a_restored_wire_continues_identically_amid_errors(seed: int, steps: int
     for n in range(40):
         one.offer(0, n % 5, Frame(0x100 + 7 * n % 40, bytes([n]) * 8))  # ports share identifiers
     for _ in range(steps):
-        if one.next_time() == NEVER:
+        if one.next_ns == NEVER:
             break
-        one.advance(one.next_time())
+        one.advance(one.next_ns)
     saved = pickle.loads(pickle.dumps(one.snapshot()))
     end = 8_000_000
     expected = run(one, end), one.snapshot()

@@ -69,12 +69,12 @@ def test_a_frame_is_under_way_for_the_delay_of_its_link() -> None:
     with assemble(Request(load("stand", [*SHORT, "motion_capture.enabled=true"]), backend="inline")) as assembly:
         system = assembly.system
         system.run_until(5_000_000)
-        assert system.motion_capture_link.next_time() == 5_000_000  # exposed at 0
+        assert system.motion_capture_link.next_ns == 5_000_000  # exposed at 0
         system.run_until(5_000_001)
-        assert system.motion_capture_link.next_time() == 7_083_333
+        assert system.motion_capture_link.next_ns == 7_083_333
         system.inject("link.motion_capture.delay", "20ms")  # two more are under way
         system.run_until(9_166_667)
-        assert system.motion_capture_link.next_time() == 26_250_000  # exposed at 6.25 ms
+        assert system.motion_capture_link.next_ns == 26_250_000  # exposed at 6.25 ms
 
 
 def test_the_orientation_is_the_true_one_to_what_placing_the_leds_costs() -> None:

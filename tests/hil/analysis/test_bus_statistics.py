@@ -55,8 +55,8 @@ def test_the_wires_own_statistics_are_understood() -> None:
     wire = Wire("right_leg", BusConfig(), 2, streams(1))
     for port, identifier in ((0, 0x181), (1, 0x182)):
         wire.offer(0, port, Frame(identifier, bytes(24)))
-    while wire.next_time() < NEVER:
-        wire.advance(wire.next_time())
+    while wire.next_ns < NEVER:
+        wire.advance(wire.next_ns)
     both = bus_statistics([wire, FakeWire({})], SCENARIO)["right_leg"]["identifiers"]
     assert [[row[key] for key in ("sent", "lost", "retransmitted")] for row in both] == [[1, 0, 0]] * 2
     assert both[0]["wait_max"] == 0.0 < both[1]["wait_max"] <= both[0]["frame"]

@@ -125,11 +125,11 @@ def test_a_plain_wire_sends_what_is_offered_and_attributes_what_arrives() -> Non
     wire.arrived(1000, state)
     wire.arrived(1000, stranger)
     assert end.sent == [command]  # what has arrived is on the bus already
-    assert wire.next_time() == 1000
+    assert wire.next_ns == 1000
     assert [(d.time, d.sender, d.frame) for d in wire.advance(1000)] == [
         (1000, 0, command), (1000, 2, state), (1000, wire.ports - 1, stranger)
     ]  # fmt: skip
-    assert wire.next_time() > 1000 and wire.sent == 3
+    assert wire.next_ns > 1000 and wire.sent == 3
     with pytest.raises(UserError, match="no impairments"):
         wire.set("loss", 0.1)
 
