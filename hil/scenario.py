@@ -253,6 +253,8 @@ def _inconsistencies(scenario: Scenario) -> Iterator[str]:
                 f"controller.stepping.planner.ramp = {ramp:g} m is too long: "
                 "each block, and each gap between two of them, must be longer"
             )
+    if scenario.controller.behaviour == "open_loop":
+        yield from _wrong_plan(scenario, robot)
     names = [bus.name for bus in robot.buses]
     for name in scenario.bus:
         if name not in names:
@@ -309,6 +311,20 @@ def notes(scenario: Scenario) -> list[str]:
 
     joints = description.load(scenario.robot).joints
     return [note for joint in joints for note in doubts(joint, scenario.firmware.of_joint(joint.name))]
+
+
+def _wrong_plan(scenario: Scenario, robot: description.Robot) -> Iterator[str]:
+    """Steps planned beforehand that the robot cannot make, or not from where its feet are."""
+    from central_controller.planning.open_loop import plan  # scipy takes its time
+
+    controller = scenario.controller
+    apart, length = scenario.stance.feet_apart, controller.open_loop.step_length
+    if abs(apart - length) > 1e-6:
+        yield f"stance.feet_apart = {apart:g} m: must be controller.open_loop.step_length, {length:g} m"
+    try:
+        plan(robot, controller.open_loop, controller.rate, controller.blocks or ())
+    except ValueError as error:
+        yield f"controller.open_loop: {error}"
 
 
 def _wrong_laws(firmware: FirmwareConfig, robot: description.Robot) -> Iterator[str]:

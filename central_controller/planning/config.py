@@ -6,7 +6,7 @@ from typing import Annotated, Self
 
 from pydantic import Field, model_validator
 
-from robots.quantities import Config, Gain, Kilograms, Metres, MetresPerSecond, Probability, Seconds
+from robots.quantities import Config, Gain, Kilograms, Metres, MetresPerSecond, Probability, Seconds, TorquePerRate
 
 Positive = Field(gt=0)
 NotNegative = Field(ge=0)
@@ -85,27 +85,43 @@ class SwingConfig(Config):
     search_depth: Annotated[Metres, NotNegative] = 0.05  # how far below that a late ground is looked for
 
 
+_Length = Annotated[Metres, Field(gt=0, le=2)]
+_Time = Annotated[Seconds, Field(gt=0, le=10)]
+
+
 class OpenLoopConfig(Config):
     """Steps whose joint angles are planned beforehand (Kim 2018 §7.1). The right foot starts half a step in front of
     the origin, the left one half a step behind it; the left one swings first."""
 
     steps: Annotated[int, Field(ge=1, le=20)] = 1
     start: Seconds = 3.0  # of the motion, from the start of the run
-    step_length: Annotated[Metres, Positive] = 0.3  # between the feet
-    com_height: Annotated[Metres, Positive] = 0.83  # above the feet's centres, at rest
-    apex_speed: Annotated[MetresPerSecond, Positive] = 0.30  # of the centre of mass above each stance foot
-    rise: Annotated[Metres, NotNegative] = 0.01  # h_o of (7.6): of the height's peak above each stance foot
-    drop: Annotated[Metres, NotNegative] = 0.01  # of the height where a foot lands below that at rest: it lands softly
-    wind_up: Metres = 0.04  # the centre of mass is moved back by this first
-    wind_up_time: Annotated[Seconds, Positive] = 1.0
-    lift_off: Annotated[Metres, Positive] = 0.07  # of the centre of mass before the stance foot, at the first lift-off
-    push_time: Annotated[Seconds, Positive] = 0.8  # from rest to the first lift-off
-    last_landing: Annotated[Metres, Positive] = 0.06  # of the centre of mass behind the last stance foot
-    stop_time: Annotated[Seconds, Positive] = 0.6  # from the last landing to rest
-    dual_time: Annotated[Seconds, NotNegative] = 0.08  # on both feet between two steps
-    clearance: Annotated[Metres, Positive] = 0.06  # of the swing foot above the higher of the grounds that it joins
-    boost_speed: Annotated[MetresPerSecond, NotNegative] = 0.0  # §7.1.6: gained after the first lift-off
-    boost_length: Annotated[Metres, Positive] = 0.03  # over this way
+    step_length: _Length = 0.3  # between the feet
+    com_height: _Length = 0.83  # above the feet's centres, at rest
+    apex_speed: Annotated[MetresPerSecond, Field(gt=0, le=2)] = 0.30  # of the centre of mass above each stance foot
+    rise: Annotated[Metres, Field(ge=0, le=1)] = 0.01  # h_o of (7.6): of the height's peak above each stance foot
+    drop: Annotated[Metres, Field(ge=0, le=1)] = 0.01  # of the height where a foot lands, for a soft landing
+    wind_up: Annotated[Metres, Field(ge=0, le=1)] = 0.04  # the centre of mass is moved back by this first
+    wind_up_time: _Time = 1.0
+    lift_off: _Length = 0.07  # of the centre of mass before the stance foot, at the first lift-off
+    push_time: _Time = 0.8  # from rest to the first lift-off
+    last_landing: _Length = 0.06  # of the centre of mass behind the last stance foot
+    stop_time: _Time = 0.6  # from the last landing to rest
+    dual_time: Annotated[Seconds, Field(le=10)] = 0.2  # on both feet between two steps; the weight goes over evenly
+    clearance: _Length = 0.06  # of the swing foot above the higher of the grounds that it joins
+    boost_speed: Annotated[MetresPerSecond, Field(ge=0, le=2)] = 0.0  # §7.1.6: gained after the first lift-off
+    boost_length: _Length = 0.03  # over this way
     slider_mass: Kilograms = 5.0  # m_s of (7.5)
+    swing_momentum: bool = True  # the way allows for the angular momentum of the swing leg; false: as in the source
     wait: Seconds = 0.2  # for a foot that should have landed
     feed_forward: Probability = 1.0  # share of the planned torques that the drives are told beside the positions
+    drive_damping: TorquePerRate = 0.0  # kd / (1 + kp): drives brake their motors so; the torques make up for it
+    settled: Seconds = 0.01  # a foot carries once its switch has been closed for so long
+
+    @model_validator(mode="after")
+    def _within_a_step(self) -> Self:
+        for key in ("lift_off", "last_landing"):
+            if getattr(self, key) >= self.step_length:
+                raise ValueError(
+                    f"{key} ({getattr(self, key):g} m) must be less than step_length ({self.step_length:g} m)"
+                )
+        return self

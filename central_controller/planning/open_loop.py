@@ -5,6 +5,11 @@ feet's paths meet where both have the same speed, and there the stance foot chan
 slider along, (7.5), on a height that rises above each foot and sinks where the next one lands, (7.6), (7.7). On both
 feet before the first and after the last step a polynomial brings it up to speed and to rest. With the feet's ways, the
 legs' inverse kinematics give the joint angles.
+
+Two things are not in the source. The way deviates by some millimetres to allow for the swing leg's angular momentum
+(``swing_momentum``), and the weight goes over from foot to foot evenly. And there are torques, by inverse dynamics:
+in a joint-position loop of stiffness K a torque is a position moved by torque / K, against the sagging that the source
+has moved its centre of mass for by hand (§7.1.3).
 """
 
 from __future__ import annotations
@@ -17,6 +22,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.interpolate import CubicSpline
 
+from central_controller.planning import support, swing_momentum
 from central_controller.planning.config import OpenLoopConfig
 from central_controller.planning.height_surface import CosineProfile
 from central_controller.planning.pendulum import Foot, Pendulum, PendulumState
@@ -27,6 +33,8 @@ from robots.terrain import Block, ground_height
 RIGHT_FOOT, LEFT_FOOT = 0, 1  # indices among the robot's feet
 _GRID = 0.004  # s, of the inverse kinematics
 _X_STEP = 5e-4  # m, in phase space
+_SHORTEST_SWING = 0.1  # s
+_ROUNDS = 2  # the legs' momentum and the way that allows for it find to each other within 0.1 mm
 
 
 class Swing(NamedTuple):
@@ -45,7 +53,7 @@ class Motion(NamedTuple):
     times: np.ndarray  # (n,) s
     positions: np.ndarray  # (n, joints) rad
     velocities: np.ndarray  # (n, joints) rad/s
-    torques: np.ndarray  # (n, joints) N m, of legs without weight
+    torques: np.ndarray  # (n, joints) N m
     com: np.ndarray  # (n, 2) x, z [m]
     com_velocity: np.ndarray  # (n, 2)
     pressure: np.ndarray  # (n,) x of the centre of pressure that the plan needs [m]
@@ -56,42 +64,93 @@ class Motion(NamedTuple):
 def plan(robot: Robot, config: OpenLoopConfig, rate: float, blocks: Sequence[Block] = ()) -> Motion:
     """Plan the whole motion over ``blocks``, sampled at ``rate`` [Hz].
 
-    Raises ValueError, in one sentence, when the robot cannot do it: a foot out of reach of its hip, or, on both feet,
-    a centre of pressure that is not between them.
+    Raises ValueError, in one sentence, when the robot cannot do it: a foothold on the edge of a block, a swing foot
+    that would go through one or is out of reach of its hip; no time to swing; a centre of mass that would fall faster
+    than freely; on both feet, a centre of pressure that is not between them.
     """
-    times, x, swings = _along(robot, config, blocks)
+    for n, (x, z) in enumerate(footholds(config, blocks)):
+        if n < 2 and z:
+            raise ValueError(f"a block lies where a foot stands at the start, at {x:g} m: move the block")
+        if any(ground_height(blocks, x + side * robot.foot_radius) != z for side in (-1.0, 1.0)):
+            raise ValueError(
+                f"the foothold at {x:g} m is on the edge of a block: change step_length, or move the block"
+            )
+    way, swings = _along(robot, config, blocks)
     height = _surface(config, blocks)
-    fine = np.arange(0.0, times[-1] + 0.5, _GRID)
-    spline = CubicSpline(*_distinct(times, x), bc_type="clamped")
-    inside = np.minimum(fine, times[-1])
-    com_x = spline(inside)
-    moving = fine < times[-1]
-    speed, acceleration = spline(inside, 1) * moving, spline(inside, 2) * moving
+    times = np.arange(0.0, way.end + 0.5, _GRID)
+    com_x, speed, acceleration = way(times)
     heights = np.array([height(value, 0.0) for value in com_x.tolist()])
-    z = heights[:, 0]
-    dz = heights[:, 1] * speed
+    com_z, dz = heights[:, 0], heights[:, 1] * speed
     ddz = heights[:, 3] * speed**2 + heights[:, 1] * acceleration
-    feet = np.array([_feet(config, blocks, swings, time) for time in fine.tolist()])
-    ratio = robot.mass / (robot.mass + config.slider_mass)
     vertical = robot.mass * (robot.gravity + ddz)
-    horizontal = robot.mass / ratio * acceleration
-    pressure = com_x - z * horizontal / vertical
+    moved = robot.mass + config.slider_mass  # along x, (7.5)
+    feet = np.array([_feet(config, blocks, swings, time) for time in times.tolist()])
+    _check_clearance(blocks, times, feet, swings)
+    stance = support.stance(times, [(swing.lift_off, swing.landing, 1 - swing.foot) for swing in swings])
+    biped = PlanarBiped(robot)
+    com = np.column_stack([com_x, com_z])
+    positions, torso = _postures(biped, com, feet)
+    support.check_pressed(times, vertical)
 
-    biped, n = PlanarBiped(robot), len(robot.joints)
-    positions, torques = np.zeros((len(fine), n)), np.zeros((len(fine), n))
-    for i, time in enumerate(fine.tolist()):
-        here = [tuple(foot) for foot in feet[i].tolist()]
-        positions[i], torso = biped.posture((float(com_x[i]), float(z[i])), here)  # raises ValueError
-        shares = _shares(swings, time, float(pressure[i]), here)
-        forces = [(share * float(horizontal[i]), share * float(vertical[i])) for share in shares]
-        torques[i] = biped.torques(torso, 0.0, positions[i].tolist(), here, forces)
-    ticks = np.arange(0.0, fine[-1], 1.0 / rate)
-    joints = CubicSpline(fine, positions)
+    spin = np.zeros(len(times))
+    force = np.column_stack([moved * acceleration, vertical])
+    _, pressure = support.supported(com, force, spin, feet, stance)
+    wanted = _passed_on(times, pressure, swings)
+    above = com_z - np.where(stance == LEFT_FOOT, feet[:, LEFT_FOOT, 1], feet[:, RIGHT_FOOT, 1])
+    square = vertical / (moved * above)
+    for _ in range(_ROUNDS):
+        if config.swing_momentum:
+            spin = np.gradient(biped.spin(positions, _GRID), _GRID)
+        push = square * (pressure - wanted) - spin / (moved * above)
+        change = swing_momentum.deviation(_GRID, square, push, stance != support.BOTH)
+        com[:, 0] = com_x + change
+        positions, torso = _postures(biped, com, feet)
+    speed, acceleration = speed + np.gradient(change, _GRID), acceleration + _curvature(change)
+    force = np.column_stack([moved * acceleration, vertical])
+    shares, pressure = support.supported(com, force, spin, feet, stance)
+    support.check_between(times, pressure, feet, stance)
+
+    forces = np.stack([shares, 1.0 - shares], axis=1)[:, :, None] * force[:, None]
+    torques = biped.torques(torso, positions, feet, forces, _GRID)
+    if config.drive_damping:
+        torques += config.drive_damping * _motor_speeds(robot, positions, torques)
+    ticks = np.arange(0.0, times[-1], 1.0 / rate)
+    joints = CubicSpline(times, positions)
     return Motion(
-        ticks, joints(ticks), joints(ticks, 1), _sampled(ticks, fine, torques),
-        _sampled(ticks, fine, np.column_stack([com_x, z])), _sampled(ticks, fine, np.column_stack([speed, dz])),
-        np.interp(ticks, fine, pressure), _sampled(ticks, fine, feet.reshape(-1, 4)).reshape(-1, 2, 2), swings,
+        ticks, joints(ticks), joints(ticks, 1), _sampled(ticks, times, torques),
+        _sampled(ticks, times, com), _sampled(ticks, times, np.column_stack([speed, dz])),
+        np.interp(ticks, times, pressure), _sampled(ticks, times, feet.reshape(-1, 4)).reshape(-1, 2, 2), swings,
     )  # fmt: skip
+
+
+def _postures(biped: PlanarBiped, com: np.ndarray, feet: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Joint angles [rad], (n, joints), and the torso's origin [m], (n, 2), sample by sample. Raises ValueError."""
+    positions, torso = zip(*map(biped.posture, com.tolist(), feet.tolist()), strict=True)
+    return np.array(positions), np.array(torso)
+
+
+def _motor_speeds(robot: Robot, positions: np.ndarray, torques: np.ndarray) -> np.ndarray:
+    """Of the motors behind the springs, in the joints' coordinates [rad/s], (n, joints)."""
+    stiffness = np.array([joint.actuator.stiffness for joint in robot.joints])
+    return np.gradient(positions + torques / stiffness, _GRID, axis=0)
+
+
+def _passed_on(times: np.ndarray, pressure: np.ndarray, swings: list[Swing]) -> np.ndarray:
+    """The centre of pressure [m], (n,), going over evenly while both feet stand between two steps.
+
+    Where two paths meet in phase space it jumps, which no drive follows: the weight would come late.
+    """
+    result = pressure.copy()
+    for before, after in pairwise(swings):
+        both = (times >= before.landing) & (times <= after.lift_off)
+        share = (times[both] - before.landing) / max(after.lift_off - before.landing, _GRID)
+        result[both] = (1.0 - share) * after.start[0] + share * before.end[0]
+    return result
+
+
+def _curvature(values: np.ndarray) -> np.ndarray:
+    """Second derivative on the grid; zero at both ends."""
+    return np.pad(np.diff(values, 2), 1) / _GRID**2
 
 
 def footholds(config: OpenLoopConfig, blocks: Sequence[Block] = ()) -> list[tuple[float, float]]:
@@ -122,7 +181,9 @@ class _PhasePath:
             state = PendulumState(foot.x, 0.0, direction * apex_speed, 0.0)
             x: list[float] = []
             v: list[float] = []
-            while abs(state.x - foot.x) < reach and len(x) < 2000:
+            while abs(state.x - foot.x) < reach:
+                if len(x) == 2000:
+                    raise ValueError(f"the centre of mass hardly leaves the foot at {foot.x:g} m: raise apex_speed")
                 x.append(state.x)
                 v.append(abs(state.vx))
                 state = pendulum.advance(state, foot, 0.002, 0.002)
@@ -148,7 +209,7 @@ class _PhasePath:
         return np.interp(x, self._x, self._v)
 
 
-def _along(robot: Robot, config: OpenLoopConfig, blocks: Sequence[Block]) -> tuple[np.ndarray, np.ndarray, list[Swing]]:
+def _along(robot: Robot, config: OpenLoopConfig, blocks: Sequence[Block]) -> tuple[_Way, list[Swing]]:
     """The centre of mass's x over time, and when which foot swings."""
     feet = footholds(config, blocks)
     pendulum = Pendulum(_surface(config, blocks), robot.gravity, robot.mass / (robot.mass + config.slider_mass))
@@ -163,59 +224,68 @@ def _along(robot: Robot, config: OpenLoopConfig, blocks: Sequence[Block]) -> tup
             raise ValueError(f"the paths of steps {n} and {n + 1} do not meet between their feet: change apex_speed")
         changes.append(float(x[np.argmax(faster)]))
     changes.append(feet[-2][0] + config.last_landing)
+    start_speed = float(paths[0](np.array([first]))[0])
 
-    times, xs, at = [], [], []  # at: when the stance foot changes
-    rest = -config.wind_up
-    start_v = float(paths[0](np.array([first]))[0])
-    ahead = float(paths[0](np.array([first + _X_STEP]))[0])
-    now = 0.0
-    for x0, state1, duration in (
-        (0.0, (rest, 0.0, 0.0), config.wind_up_time),
-        (rest, (first, start_v, start_v * (ahead - start_v) / _X_STEP), config.push_time),
-    ):
-        t = np.arange(0.0, duration, _GRID)
-        times.append(now + t)
-        xs.append(_quintic(t, duration, (x0, 0.0, 0.0), state1))
-        now += duration
+    def acceleration(x: float, speed: float, n: int) -> float:
+        """On the n-th stance foot [m/s²]."""
+        return pendulum.acceleration(PendulumState(x, 0.0, speed, 0.0), Foot(feet[n][0], 0.0, feet[n][1]))[0]
+
+    way, rest = _Way(), (-config.wind_up, 0.0, 0.0)
+    leaving = (first, start_speed, acceleration(first - 1e-9, start_speed, 1))
+    way.append(*_quintic(config.wind_up_time, (0.0, 0.0, 0.0), rest))
+    way.append(*_quintic(config.push_time, rest, leaving))
+    at = [way.end]  # when the stance foot changes
     for path, begin, end in zip(paths, changes, changes[1:], strict=False):
-        at.append(now)
-        x = np.linspace(begin, end, max(2, round((end - begin) / _X_STEP)))
+        x = np.linspace(begin, end, max(3, round((end - begin) / _X_STEP)))
         speed = path(x)
         t = np.concatenate([[0.0], np.cumsum(np.diff(x) * 2.0 / (speed[1:] + speed[:-1]))])
-        times.append(now + t[:-1])
-        xs.append(x[:-1])
-        now += float(t[-1])
-    at.append(now)
-    end, last = changes[-1], paths[-1]
-    v, behind = (float(last(np.array([x]))[0]) for x in (end, end - _X_STEP))
-    t = np.arange(0.0, config.stop_time + _GRID, _GRID)
-    times.append(now + t)
-    goal = 0.5 * (feet[-1][0] + feet[-2][0])
-    leaving = (end, v, v * (v - behind) / _X_STEP)
-    xs.append(_quintic(np.minimum(t, config.stop_time), config.stop_time, leaving, (goal, 0.0, 0.0)))
+        way.append(t, x, float(speed[0]), float(speed[-1]))
+        at.append(way.end)
+    end = changes[-1]
+    end_speed = float(paths[-1](np.array([end]))[0])
+    arriving = (end, end_speed, acceleration(end + 1e-9, end_speed, -2))
+    way.append(*_quintic(config.stop_time, arriving, (0.5 * (feet[-1][0] + feet[-2][0]), 0.0, 0.0)))
 
     swings, half = [], 0.5 * config.dual_time
     for n in range(config.steps):
         lift = at[n] + (half if n else 0.0)
         land = at[n + 1] - (half if n + 1 < config.steps else 0.0)
+        if land - lift < _SHORTEST_SWING:
+            raise ValueError(f"step {n + 1} leaves {land - lift:.2f} s to swing a foot: lower apex_speed or dual_time")
         swings.append(Swing(LEFT_FOOT if n % 2 == 0 else RIGHT_FOOT, lift, land, feet[n], feet[n + 2]))
-    return np.concatenate(times), np.concatenate(xs), swings
+    return way, swings
 
 
-def _distinct(times: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Thinned to samples at least half a grid apart, which a spline goes through without wiggling."""
-    keep, last = [], -math.inf
-    for i, time in enumerate(times.tolist()):
-        if time - last > 0.5 * _GRID:
-            keep.append(i)
-            last = time
-    return times[keep], x[keep]
+class _Way:
+    """x over time in pieces that meet in place and speed; the acceleration jumps where the stance foot changes."""
+
+    def __init__(self) -> None:
+        self._pieces: list[CubicSpline] = []
+        self._starts: list[float] = []
+        self.end = 0.0  # s
+
+    def append(self, times: np.ndarray, x: np.ndarray, start_speed: float, end_speed: float) -> None:
+        """A piece through ``x`` [m] at ``times`` [s], counted from its start, between two speeds [m/s]."""
+        self._pieces.append(CubicSpline(times, x, bc_type=((1, start_speed), (1, end_speed))))
+        self._starts.append(self.end)
+        self.end += float(times[-1])
+
+    def __call__(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """x [m], speed [m/s], acceleration [m/s²] at ``times`` [s]; at rest behind the end."""
+        inside = np.minimum(times, self.end)
+        which = np.searchsorted(self._starts, inside, side="right") - 1
+        result = np.zeros((3, len(times)))
+        for n, (piece, start) in enumerate(zip(self._pieces, self._starts, strict=True)):
+            here = which == n
+            result[:, here] = [piece(inside[here] - start, order) for order in range(3)]
+        result[1:, times > self.end] = 0.0
+        return result[0], result[1], result[2]
 
 
 def _quintic(
-    t: np.ndarray, duration: float, start: tuple[float, float, float], end: tuple[float, float, float]
-) -> np.ndarray:
-    """The quintic between two positions, speeds and accelerations."""
+    duration: float, start: tuple[float, float, float], end: tuple[float, float, float]
+) -> tuple[np.ndarray, np.ndarray, float, float]:
+    """The quintic between two positions, speeds and accelerations: times, values, both speeds."""
     d = duration
     rows = [
         [1, 0, 0, 0, 0, 0], [0, 1, 0, 0, 0, 0], [0, 0, 2, 0, 0, 0],
@@ -223,7 +293,19 @@ def _quintic(
         [0, 0, 2, 6 * d, 12 * d**2, 20 * d**3],
     ]  # fmt: skip
     coefficients = np.linalg.solve(np.array(rows, float), np.array([*start, *end]))
-    return np.polynomial.polynomial.polyval(t, coefficients)
+    times = np.linspace(0.0, d, max(3, math.ceil(d / _GRID) + 1))
+    return times, np.polynomial.polynomial.polyval(times, coefficients), start[1], end[1]
+
+
+def _check_clearance(blocks: Sequence[Block], times: np.ndarray, feet: np.ndarray, swings: list[Swing]) -> None:
+    """Raise ValueError where a swing foot would be inside a block."""
+    for swing in swings:
+        inside = (times > swing.lift_off) & (times < swing.landing)
+        for x, z in feet[inside, swing.foot].tolist():
+            if z < ground_height(blocks, x) - 1e-9:
+                raise ValueError(
+                    f"the swing foot would go through the block at {x:.2f} m: raise clearance, or move the block"
+                )
 
 
 def _smooth(s: float) -> float:
@@ -252,16 +334,6 @@ def _feet(
 def _between(start: float, end: float) -> list[float]:
     """Places on a swing foot's way, both ends among them."""
     return [start + 0.05 * n * (end - start) for n in range(21)]
-
-
-def _shares(swings: list[Swing], time: float, pressure: float, feet: list[tuple[float, float]]) -> list[float]:
-    """Share of the load on each foot."""
-    for swing in swings:
-        if swing.lift_off < time < swing.landing:
-            return [1.0, 0.0] if swing.foot == LEFT_FOOT else [0.0, 1.0]
-    right, left = feet[RIGHT_FOOT][0], feet[LEFT_FOOT][0]
-    share = min(max((pressure - left) / (right - left), 0.0), 1.0)
-    return [share, 1.0 - share]
 
 
 def _sampled(ticks: np.ndarray, times: np.ndarray, values: np.ndarray) -> np.ndarray:

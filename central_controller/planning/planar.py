@@ -11,6 +11,8 @@ import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
+import numpy as np
+
 from robots.description import Joint, Robot
 
 Point = tuple[float, float]  # x, z [m]
@@ -83,12 +85,12 @@ class PlanarBiped:
             angles[leg.indices[0]], angles[leg.indices[1]] = hip, knee
         return angles
 
-    def centre_of_mass(self, angles: Sequence[float]) -> Point:
-        """Of the whole robot in the torso's frame [m], from joint angles of which the abductions are taken as zero."""
+    def _links(self, angles: Sequence[float]) -> list[tuple[float, float, float, float, float]]:
+        """Mass [kg], moment of inertia about y [kg m²], x and z of the centre of mass [m] and angle [rad] of each link,
+        in the torso's frame; abductions are taken as zero."""
         robot = self._robot
         frames: dict[str, tuple[float, float, float]] = {robot.base.name: (0.0, 0.0, 0.0)}  # x, z, angle
-        mass = robot.base.mass
-        mx, mz = mass * robot.base.com[0], mass * robot.base.com[2]
+        links = [(robot.base.mass, robot.base.inertia[1], robot.base.com[0], robot.base.com[2], 0.0)]
         for joint, angle in zip(robot.joints, angles, strict=True):
             px, pz, turned = frames[joint.parent]
             c, s = math.cos(turned), math.sin(turned)
@@ -97,11 +99,34 @@ class PlanarBiped:
             turned += angle if joint.axis[1] else 0.0
             frames[joint.name] = x, z, turned
             c, s = math.cos(turned), math.sin(turned)
-            m, com = joint.link.mass, joint.link.com
-            mass += m
-            mx += m * (x + c * com[0] + s * com[2])
-            mz += m * (z - s * com[0] + c * com[2])
-        return mx / mass, mz / mass
+            com = joint.link.com
+            links.append((
+                joint.link.mass, joint.link.inertia[1],
+                x + c * com[0] + s * com[2], z - s * com[0] + c * com[2], turned,
+            ))  # fmt: skip
+        return links
+
+    def centre_of_mass(self, angles: Sequence[float]) -> Point:
+        """Of the whole robot in the torso's frame [m], from joint angles of which the abductions are taken as zero."""
+        links = self._links(angles)
+        mass = sum(link[0] for link in links)
+        return sum(link[0] * link[2] for link in links) / mass, sum(link[0] * link[3] for link in links) / mass
+
+    def spin(self, positions: np.ndarray, step: float) -> np.ndarray:
+        """Angular momentum about the centre of mass, about +y [kg m²/s], (n,), of a torso that does not turn.
+
+        From joint angles [rad], (n, joints), every ``step`` [s], by differences.
+        """
+        mass, inertia, place, turned = self._motion(positions)
+        place = place - (mass[:, None] * place).sum(axis=1, keepdims=True) / mass.sum()
+        momentum = mass[:, None] * np.gradient(place, step, axis=0)
+        return (_moment(place, momentum) + inertia * np.gradient(turned, step, axis=0)).sum(axis=1)
+
+    def _motion(self, positions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Of each link: mass and moment of inertia, (links,); place (n, links, 2) and angle (n, links) in the torso's
+        frame."""
+        links = np.array([self._links(angles) for angles in positions.tolist()])
+        return links[0, :, 0], links[0, :, 1], links[:, :, 2:4], links[:, :, 4]
 
     def posture(self, com: Point, feet: Sequence[Point], pitch: float = 0.0) -> tuple[list[float], Point]:
         """Joint angles [rad] and the torso's origin with the centre of mass at ``com`` and the feet at ``feet`` [m],
@@ -121,16 +146,41 @@ class PlanarBiped:
         return angles, torso
 
     def torques(
-        self, torso: Point, pitch: float, angles: Sequence[float], feet: Sequence[Point], forces: Sequence[Point]
-    ) -> list[float]:
-        """Joint torques [N m] that hold forces (x, z) [N] of the ground on the feet, of legs without weight."""
-        result = [0.0] * len(angles)
-        c, s = math.cos(pitch), math.sin(pitch)
-        for leg, foot, (fx, fz) in zip(self._legs, feet, forces, strict=True):
-            hip, knee = leg.indices
-            x, z = torso[0] + c * leg.hip[0] + s * leg.hip[1], torso[1] - s * leg.hip[0] + c * leg.hip[1]
-            result[hip] = fz * (foot[0] - x) - fx * (foot[1] - z)  # a turn about +y moves what is below backwards
-            thigh = leg.forward - pitch - angles[hip]
-            x, z = x + leg.thigh * math.sin(thigh), z - leg.thigh * math.cos(thigh)
-            result[knee] = fz * (foot[0] - x) - fx * (foot[1] - z)
+        self, torso: np.ndarray, positions: np.ndarray, feet: np.ndarray, forces: np.ndarray, step: float
+    ) -> np.ndarray:
+        """Joint torques [N m], (n, joints), of a motion whose torso does not turn: inverse dynamics, abductions zero.
+
+        Args:
+            torso: its origin; x, z [m], (n, 2).
+            positions: joint angles [rad], (n, joints).
+            feet: x, z [m], (n, 2, 2).
+            forces: of the ground on the feet; x, z [N], (n, 2, 2).
+            step: between the samples [s]; accelerations are differences.
+        """
+        mass, inertia, place, turned = self._motion(positions)
+        place = place + torso[:, None]
+        needed = mass[:, None] * (_second(place, step) + np.array([0.0, self._robot.gravity]))  # on each link, N
+        turning = inertia * _second(turned, step)
+        result = np.zeros_like(positions)
+        for leg, foot, force in zip(self._legs, feet.swapaxes(0, 1), forces.swapaxes(0, 1), strict=True):
+            hip, knee = leg.indices  # the links behind the joints are one further: the torso is the first
+            axis = torso + leg.hip
+            thigh = leg.forward - positions[:, hip]
+            bent = axis + leg.thigh * np.column_stack([np.sin(thigh), -np.cos(thigh)])
+            for joint, about, moved in ((hip, axis, (hip + 1, knee + 1)), (knee, bent, (knee + 1,))):
+                result[:, joint] = -_moment(foot - about, force)
+                for link in moved:
+                    result[:, joint] += _moment(place[:, link] - about, needed[:, link]) + turning[:, link]
         return result
+
+
+def _moment(arm: np.ndarray, vector: np.ndarray) -> np.ndarray:
+    """``arm`` × ``vector`` about +y; the last axis is x, z."""
+    return arm[..., 1] * vector[..., 0] - arm[..., 0] * vector[..., 1]
+
+
+def _second(values: np.ndarray, step: float) -> np.ndarray:
+    """Second derivative along the first axis; zero at both ends."""
+    result = np.zeros_like(values)
+    result[1:-1] = np.diff(values, 2, axis=0) / step**2
+    return result

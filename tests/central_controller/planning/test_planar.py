@@ -36,14 +36,56 @@ def test_feet_and_centre_of_mass_are_where_they_should_be(
     assert angles[2] > 0 and angles[5] > 0  # both knees in front
 
 
-def test_torques_hold_the_forces_by_virtual_work() -> None:
-    feet, forces = [(0.15, 0.0), (-0.15, 0.03)], [(12.0, 150.0), (-7.0, 80.0)]
-    angles, torso = BIPED.posture((0.03, 0.83), feet, 0.1)
-    MODEL.update(configuration(torso, 0.1, angles), np.zeros(12))
-    on_robot = np.array([[fx, 0.0, fz] for fx, fz in forces]).ravel()
-    expected = -(MODEL.Js.T @ on_robot)[6:]
-    planar = [1, 2, 4, 5]
-    assert np.array(BIPED.torques(torso, 0.1, angles, feet, forces))[planar] == pytest.approx(expected[planar])
+STEP = 0.004  # s
+
+
+@pytest.fixture(scope="module")
+def swinging() -> dict[str, np.ndarray]:
+    """A second in which the centre of mass and the left foot move; the forces on the feet are any."""
+    t = np.arange(0.0, 1.0, STEP)
+    com = np.column_stack([0.03 * np.sin(3 * t), 0.83 + 0.01 * np.cos(4 * t)])
+    left = np.column_stack([-0.15 + 0.3 * np.sin(2.5 * t) ** 2, 0.05 * np.sin(3 * t) ** 2])
+    feet = np.stack([np.tile((0.15, 0.0), (len(t), 1)), left], axis=1)
+    solved = [BIPED.posture(tuple(c), [tuple(foot) for foot in pair]) for c, pair in zip(com, feet, strict=True)]
+    forces = np.stack([np.column_stack([12 * np.cos(t), 150 + t]), np.column_stack([-7 * t, 80 - t])], axis=1)
+    return {
+        "positions": np.array([angles for angles, _ in solved]), "torso": np.array([torso for _, torso in solved]),
+        "feet": feet, "forces": forces,
+    }  # fmt: skip
+
+
+def motion(swinging: dict[str, np.ndarray], at: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """q, v, a of pinocchio's model at a sample, by differences."""
+    torso, positions = swinging["torso"], swinging["positions"]
+    moved = np.column_stack([torso[:, 0], 0 * torso[:, 0], torso[:, 1], np.zeros((len(torso), 3)), positions])
+    v = (moved[at + 1] - moved[at - 1]) / (2 * STEP)
+    a = (moved[at + 1] - 2 * moved[at] + moved[at - 1]) / STEP**2
+    return configuration(tuple(torso[at]), 0.0, positions[at].tolist()), v, a
+
+
+PLANAR = [1, 2, 4, 5]
+
+
+def test_torques_are_those_of_inverse_dynamics(swinging: dict[str, np.ndarray]) -> None:
+    """pinocchio's recursive Newton-Euler algorithm, and the feet's forces by virtual work."""
+    torques = BIPED.torques(**swinging, step=STEP)
+    data = MODEL.model.createData()
+    for at in range(20, len(torques) - 20, 23):
+        q, v, a = motion(swinging, at)
+        MODEL.update(q, v)
+        on_robot = np.insert(swinging["forces"][at], 1, 0.0, axis=1).ravel()
+        expected = (pin.rnea(MODEL.model, data, q, v, a) - MODEL.Js.T @ on_robot)[6:]
+        assert torques[at, PLANAR] == pytest.approx(expected[PLANAR], abs=0.02)
+
+
+def test_spin_is_the_centroidal_angular_momentum(swinging: dict[str, np.ndarray]) -> None:
+    spin = BIPED.spin(swinging["positions"], STEP)
+    data = MODEL.model.createData()
+    for at in range(20, len(spin) - 20, 23):
+        q, v, _ = motion(swinging, at)
+        expected = pin.computeCentroidalMomentum(MODEL.model, data, q, v).angular[1]
+        assert spin[at] == pytest.approx(expected, abs=1e-3)
+    assert np.abs(spin).max() > 0.3  # it is not that nothing turns
 
 
 def test_out_of_reach_is_told() -> None:
