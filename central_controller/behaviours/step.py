@@ -6,7 +6,6 @@ state that the pendulum observer tells.
 
 from __future__ import annotations
 
-import math
 import struct
 from enum import IntEnum
 from functools import partial
@@ -17,18 +16,14 @@ import numpy as np
 from bus import messages
 from bus.messages import GainSet, Mode
 from central_controller.behaviours.behaviour import Compile, Phase, Setpoints, Workspace, ramp
+from central_controller.behaviours.footholds import Footholds
 from central_controller.binding import Bound, items
-from central_controller.estimation.pendulum_observer import PendulumObserver
-from central_controller.planning.height_surface import over_blocks
-from central_controller.planning.pendulum import Foot, Pendulum, PendulumState
-from central_controller.planning.reach import LEFT, RIGHT, clear_of_edges
+from central_controller.planning.pendulum import Foot
 from central_controller.planning.swing import SwingTrajectory
-from central_controller.planning.velocity_reversal import Plan, VelocityReversalPlanner
+from central_controller.planning.velocity_reversal import Plan
 from central_controller.stepping_law import COORDINATES, OBSERVED, observed, stepping
 from robots.description import Robot
-from robots.terrain import ground_height
 
-_SIDES = (RIGHT, LEFT)  # of the feet, in the robot's order
 _SAGITTAL = 0.999  # of a joint's axis along y: from here on it turns in the sagittal plane
 _LANDED_AFTER = 0.5  # of the landing: a switch that is closed before has not opened yet
 _COM, _COM_VELOCITY, _RPY, _FEET = map(observed, ("com", "com_velocity", "rpy", "feet"))
@@ -110,11 +105,7 @@ class Step:
         self._state, self._since = State.WAITING, 0.0
         self._stance: int | None = None  # foot that carries alone; None: both
         self._swing: int = self._stepping.first
-        self._blocks = config.blocks or ()
-        self._height = self._ground = 0.0  # of the centre of mass and of the ground where it stood first
-        self._levels = [0.0] * len(_SIDES)  # of the ground under each foot, or where it stood last
-        self._middle = (0.0, 0.0)  # where stepping began
-        self._stood = [(0.0, 0.0)] * len(_SIDES)  # of the feet, from the centre of mass, before the first step
+        self._footholds: Footholds | None = None  # from the take-over on
         self._landed_force = np.zeros(3)  # of the foot that lifts or lands, in double support
         self._planned: Plan | None = None
         self._departed = False  # the swing foot, sideways
@@ -122,9 +113,6 @@ class Step:
         self._steps = 0
         self._lean = (0.0, 0.0)  # acceleration, duration
         self._swing_path = SwingTrajectory(self._stepping.swing)
-        self._observer: PendulumObserver | None = None
-        self._planner: VelocityReversalPlanner | None = None
-        self._pendulum: Pendulum | None = None
         self._arrange()
 
     @staticmethod
@@ -170,18 +158,10 @@ class Step:
     def take_over(self) -> None:
         seen, space = self._seen, self._space
         self._held[:] = space.counts[2 * self._n :] * messages.NEWTON_METRE
-        self._height = float(seen[_COM][2])
-        self._ground = float(seen[_FEET][2] + seen[_FEET][5]) / 2
-        self._middle = (float(seen[_COM][0]), float(seen[_COM][1]))
+        com, ground = seen[_COM].tolist(), float(seen[_FEET][2] + seen[_FEET][5]) / 2
         self._gains[:] = self._gains_of[False]
-        self._levels = [self._ground] * len(_SIDES)
-        gravity = space.robot.gravity
-        surface = over_blocks(self._height, self._blocks, self._stepping.planner.ramp)
-        ratio = space.robot.mass / (space.robot.mass + self._stepping.slider_mass)
-        self._pendulum = Pendulum(surface, gravity, ratio)
-        self._planner = VelocityReversalPlanner(self._stepping.planner, self._pendulum)
-        self._observer = PendulumObserver(self._height, self._config.rate, self._stepping.observer, ratio * gravity)
-        self._observer.reset(*self._middle, 0.0, 0.0)
+        config = self._config
+        self._footholds = Footholds(self._stepping, space.robot, config.rate, config.blocks or (), com, ground)
         if self._stepping.hold_abduction:
             self._hold_out_of_plane()
         self._running = True
@@ -201,10 +181,13 @@ class Step:
     def _advance(self, now: float) -> None:
         """Enter the next state when this one has done its work: TRANSITIONS."""
         state, timing, elapsed = self._state, self._stepping.timing, now - self._since
+        footholds = self._footholds
+        assert footholds is not None
         if state is State.WAITING:
             if now >= self._stepping.start:
-                self._lean = self._launch()
-                self._stood = [self._place(foot) for foot in range(len(_SIDES))]
+                feet, com = self._feet(), self._com()
+                self._lean = footholds.launch(com[1], feet[1 - self._swing].y)
+                footholds.stand(com, feet)
                 self._enter(State.LEANING, now)
         elif state is State.LEANING:
             if elapsed >= self._lean[1]:
@@ -212,7 +195,8 @@ class Step:
         elif state is State.UNLOADING:
             if elapsed >= timing.transition:
                 self._push[:] = 0.0
-                self._swing_path.lift(now, self._foot(self._swing), timing.lifting, self._step_up(now))
+                step_up = footholds.step_up(now, self._swing, self._feet(), self._com())
+                self._swing_path.lift(now, self._feet()[self._swing], timing.lifting, step_up)
                 self._set_gains(self._swing, GainSet.SWING)
                 self._planned, self._departed = None, False
                 self._enter(State.LIFTING, now)
@@ -262,7 +246,8 @@ class Step:
         """The foot has met the ground: what it would press with in double support grows from nothing."""
         stance = self._stance
         self._steps += 1
-        self._levels[self._swing] = self._level(float(self._seen[_FEET][3 * self._swing + 2]))
+        assert self._footholds is not None
+        self._footholds.landed(self._swing, self._feet()[self._swing].z)
         self._stand_on(None)
         self._reference_of_body(now)
         self._laws[None]()
@@ -276,27 +261,13 @@ class Step:
         """The feet that the robot's place is known by: one, or both."""
         feet = self._seen[_FEET]
         self._anchor[:] = (feet[:3] + feet[3:]) / 2 if stance is None else feet[3 * stance : 3 * stance + 3]
-        # or the errors of all steps would add up
-        self._anchor[2] = sum(self._levels) / len(self._levels) if stance is None else self._levels[stance]
+        assert self._footholds is not None
+        levels = self._footholds.levels  # or the errors of all steps would add up
+        self._anchor[2] = sum(levels) / len(levels) if stance is None else levels[stance]
         self._stance = stance
         self._gains[:] = self._gains_of[stance is not None]
         if self._steps:  # no feedback: 1 N sideways at this height takes 5 N from a foot that carries little yet
             self._gains[:, _COM_Y] = 0.0
-
-    def _launch(self) -> tuple[float, float]:
-        """Acceleration [m/s²] and duration [s] of the centre of mass towards the first stance foot, after which its
-        velocity reverses on that foot in the planner's own time t'_y."""
-        config = self._stepping
-        if config.lean == 0.0:
-            return 0.0, 0.0
-        feet, y = self._seen[_FEET], self._seen[_COM][1]
-        stance = 1 - self._swing
-        distance = abs(float(feet[3 * stance + 1] - y))
-        omega = math.sqrt(self._space.robot.gravity / self._height)
-        k = omega * math.tanh(omega * config.planner.reversal_time_y)
-        a = config.lean  # a t = k (distance − a t²/2)
-        duration = (-1.0 + math.sqrt(1.0 + 2.0 * k * k * distance / a)) / k
-        return math.copysign(a, feet[3 * stance + 1] - y), duration
 
     # --- references -------------------------------------------------------------------------------------------
 
@@ -314,40 +285,32 @@ class Step:
             self._push *= 0.0
 
     def _reference_of_body(self, now: float) -> None:
-        reference = self._reference
+        reference, footholds = self._reference, self._footholds
+        assert footholds is not None
         reference[:, :_FOOT] = 0.0
-        self._refer_to_surface()
+        if footholds.level:
+            reference[0, _COM_Z] = footholds.height
+        else:
+            reference[:, _COM_Z] = footholds.height_reference(self._feet()[1 - self._swing])
         yaw, limit = self._see[_RPY.start + 2], self._stepping.yaw_error_limit
         reference[0, _YAW] = yaw - min(limit, max(-limit, yaw))
         t = now - self._since
         if self._state is State.LEANING:
             a = self._lean[0]
-            reference[:, _COM_Y] = self._middle[1] + a * t * t / 2, a * t, a
+            reference[:, _COM_Y] = footholds.middle[1] + a * t * t / 2, a * t, a
         elif self._stance is None and self._state is State.WAITING:
-            reference[0, _COM_Y] = self._middle[1]
+            reference[0, _COM_Y] = footholds.middle[1]
         else:
-            reference[2, _COM_Y] = self._falling()
+            reference[2, _COM_Y] = self._falling(footholds)
 
-    def _refer_to_surface(self) -> None:
-        """Hold the centre of mass on the planner's surface as it falls along in x: z'' = z_x x'' + z_xx x'²."""
-        reference, observer = self._reference, self._observer
-        if not self._blocks or observer is None:
-            reference[0, _COM_Z] = self._height
-            return
-        assert self._pendulum is not None
-        z, zx, _, zxx, _, _ = self._pendulum.surface(observer.x, observer.y)
-        foot = self._foot(1 - self._swing)
-        ax, _ = self._pendulum.acceleration(PendulumState(observer.x, foot.y, observer.vx, 0.0), foot)
-        reference[:, _COM_Z] = z, zx * observer.vx, zx * ax + zxx * observer.vx**2
-
-    def _falling(self) -> float:
+    def _falling(self, footholds: Footholds) -> float:
         """Lateral acceleration [m/s²] of the pendulum on a point midway between the feet: each carries half, also when
         the centre of mass is not between them, and a foot that has landed is not asked to pull. 0 where y is held."""
         if not self._stepping.gains.double_support.com_y.kp:
             return 0.0
         see, feet = self._see, _FEET.start
         middle = (see[feet + 1] + see[feet + 4]) / 2
-        return self._space.robot.gravity / self._height * (see[_COM.start + 1] - middle)
+        return footholds.falling(see[_COM.start + 1] - middle)
 
     def _hold_foot(self) -> None:
         """The swing foot shall stay where it is."""
@@ -358,60 +321,22 @@ class Step:
         for joint in self._legs[foot]:
             self.setpoints.gain_sets[joint] = gain_set
 
-    def _foot(self, foot: int) -> Foot:
-        return Foot(*self._seen[_FEET][3 * foot : 3 * foot + 3].tolist())
+    def _feet(self) -> list[Foot]:
+        feet = self._seen[_FEET].tolist()
+        return [Foot(*feet[:3]), Foot(*feet[3:])]
 
-    # --- planning ---------------------------------------------------------------------------------------------
+    def _com(self) -> list[float]:
+        return self._seen[_COM].tolist()
 
     def _plan(self, now: float, to_touchdown: float) -> Plan:
         """Where the swing foot shall land, ``to_touchdown`` [s] from ``now``."""
-        assert self._planner is not None and self._observer is not None and self._stance is not None
-        timing, observer = self._stepping.timing, self._observer
-        # the weight goes over little by little: in the mean in the middle of it
-        to_switch = to_touchdown + (timing.loading + timing.dual_support + timing.transition) / 2
-        state = PendulumState(observer.x, observer.y, observer.vx, observer.vy)
-        if self._stepping.placement == "fixed":
-            com, (dx, dy) = self._seen[_COM], self._stood[self._swing]
-            foot = Foot(float(com[0]) + dx, float(com[1]) + dy, self._ground)
-            return Plan(foot, foot[:2], False, state, to_switch, 0.0, 0, True)
-        side, config, place = _SIDES[self._swing], self._stepping.planner, self._foot(self._swing)
-        stance, goal, ground = self._foot(self._stance), self._goal(now + to_switch), self._levels[self._stance]
-        for _ in range(2):  # once more where the ground is not as high as under the stance foot
-            plan = self._planner.plan(state, stance, side, to_switch, goal, ground)
-            x = clear_of_edges(self._blocks, plan.foot.x, config.edge_clearance)
-            believed, ground = ground, self._ground + ground_height(self._blocks, x)
-            if ground == believed:
-                break
-        return plan._replace(foot=Foot(x, plan.foot.y if config.lateral else place.y, ground))
-
-    def _step_up(self, now: float) -> float:
-        """How much higher the swing foot will land than it stood, as far as can be told when it lifts [m]."""
-        if not self._blocks:
-            return 0.0
-        timing = self._stepping.timing
-        there = self._plan(now, timing.lifting + timing.landing).foot.z
-        return max(0.0, there - self._levels[self._swing])
-
-    def _level(self, height: float) -> float:
-        """The known height of the ground next to ``height``: a foot may have missed an edge."""
-        levels = [self._ground, *(self._ground + block.height for block in self._blocks)]
-        return min(levels, key=lambda level: abs(level - height))
-
-    def _goal(self, time: float) -> tuple[float, float]:
-        """x, y [m] that the planner is pulled to, at ``time``."""
-        config, (x, y) = self._stepping, self._middle
-        gone = time - config.start
-        return x + config.goal_velocity_x * gone, y + config.goal_velocity_y * gone
-
-    def _place(self, foot: int) -> tuple[float, float]:
-        """Of a foot, from the centre of mass."""
-        com, place = self._seen[_COM], self._seen[_FEET][3 * foot : 3 * foot + 2]
-        return float(place[0] - com[0]), float(place[1] - com[1])
+        assert self._footholds is not None
+        return self._footholds.plan(now, to_touchdown, self._swing, self._feet(), self._com())
 
     def _follow(self) -> None:
         """The pendulum observer's share of this tick."""
-        observer, seen = self._observer, self._seen
-        assert observer is not None
+        assert self._footholds is not None
+        observer, seen = self._footholds.observer, self._seen
         feet = seen[_FEET].tolist()
         if self._stance is None:
             x, y = (feet[0] + feet[3]) / 2, (feet[1] + feet[4]) / 2
@@ -447,8 +372,9 @@ class Step:
         self.memory_next[4:] = self._space.v[6:]
         np.multiply(self._counted_torque, messages.NEWTON_METRE, out=self._sensed_torque)
         self._progress[:] = self._state, self._steps, self._stance != 1, self._stance != 0
-        observer, plan = self._observer, self._planned
-        if observer is not None:
+        plan = self._planned
+        if self._footholds is not None:
+            observer = self._footholds.observer
             self._foreseen[:4] = observer.x, observer.y, observer.vx, observer.vy
         if plan is not None and plan is not self._told:
             self._told = plan
@@ -466,20 +392,18 @@ class Step:
         "_held", "_landed_force",
     )  # fmt: skip
     _PLAIN = (
-        "_running", "_state", "_since", "_stance", "_swing", "_height", "_ground", "_middle", "_stood", "_planned",
-        "_departed", "_landing", "_steps", "_lean", "_planner", "_pendulum",
+        "_running", "_state", "_since", "_stance", "_swing", "_planned", "_departed", "_landing", "_steps", "_lean",
     )  # fmt: skip
 
     def snapshot(self) -> Any:
         return {
             **{name: getattr(self, name).copy() for name in self._ARRAYS},
             **{name: getattr(self, name) for name in self._PLAIN},
-            "levels": list(self._levels),
             "gain_sets": list(self.setpoints.gain_sets),
             "modes": list(self.setpoints.modes),
             "positions": self.setpoints.positions,
             "swing_path": self._swing_path.snapshot(),
-            "observer": None if self._observer is None else (self._observer, self._observer.snapshot()),
+            "footholds": None if self._footholds is None else (self._footholds, self._footholds.snapshot()),
         }
 
     def restore(self, state: Any) -> None:
@@ -491,12 +415,11 @@ class Step:
         self.setpoints.gain_sets[:] = state["gain_sets"]
         self.setpoints.modes[:] = state["modes"]
         self.setpoints.positions = state["positions"]
-        self._levels[:] = state["levels"]
         self._swing_path.restore(state["swing_path"])
-        self._observer = None
-        if state["observer"] is not None:
-            self._observer, own = state["observer"]
-            self._observer.restore(own)
+        self._footholds = None
+        if state["footholds"] is not None:
+            self._footholds, own = state["footholds"]
+            self._footholds.restore(own)
 
 
 def _leg(robot: Robot, joint: int) -> str:
