@@ -86,6 +86,25 @@ def test_the_transition_takes_the_jump_out_of_the_torques_at_a_switch(outcome: A
     assert outcome.metrics["torque_step_at_lift_max"] < 20.0 < 30.0 < without.metrics["torque_step_at_lift_max"]
 
 
+def test_it_walks_after_a_goal_that_moves() -> None:
+    settings = ("controller.stepping.goal_velocity_x=0.2m/s", "controller.stepping.planner.goal_distance=1m")
+    walked = stepped("duration=7s", *settings)
+    assert walked.stable, walked.reason
+    assert walked.tables["world"]["com.x"][-1] == pytest.approx(0.2 * (7.0 - 1.2), rel=0.25)  # from the first step on
+
+
+def test_a_drifting_gyro_needs_the_cameras() -> None:
+    """Kim 2018 §7.3.3, App. E: without them the robot walks off after the tilt that it believes."""
+    without = stepped(
+        "duration=7s", "motion_capture.enabled=false", "controller.orientation=complementary",
+        "controller.orientation_time_constant=10s",
+    )  # fmt: skip
+    with_cameras = stepped("duration=7s")
+    gone = [float(np.hypot(run.tables["world"]["com.x"][-1], run.tables["world"]["com.y"][-1]))
+            for run in (without, with_cameras)]  # fmt: skip
+    assert gone[1] < 0.1 and gone[0] > 2 * gone[1]
+
+
 def test_both_backends_step_alike() -> None:
     runs = [stepped("duration=1.7s", backend=backend) for backend in ("inline", "processes")]
     assert runs[0].digest == runs[1].digest
