@@ -17,8 +17,9 @@ def add_parser(commands: Any) -> None:
     """The subcommand ``estimators``."""
     parser = commands.add_parser(
         "estimators", help="errors, consistency and cost of the estimators on their benches",
-        description="The four foot filters on the two-joint chain of Kim 2018 §6.2.1 with its errors, the orientation "
-        "filter over a foot that rocks, the planner's pendulum observer; and what they cost of a servo tick.",
+        description="The four foot filters on the two-joint chain of Kim 2018 §6.2.1 with its errors, the light one "
+        "on Hume that steps, the orientation filter over a foot that rocks, the planner's pendulum observer; and what "
+        "they cost of a servo tick.",
     )  # fmt: skip
     parser.add_argument("--seeds", type=natural, default=4, metavar="N", help="runs of each bench (4)")
     parser.add_argument("--duration", metavar="S", help="of each run (3s)")

@@ -81,10 +81,11 @@ def _errors(name: str, estimates: Sequence[np.ndarray], recordings: Sequence[Rec
     distances = [np.linalg.norm(e - r.p, axis=1)[settled:] for e, r in zip(estimates, recordings, strict=True)]
     hidden = [r.hidden[settled:] for r in recordings]
     distance, unseen = np.concatenate(distances), np.concatenate(hidden)
-    return Score(name, *_rms_and_max(distance[~unseen]), *_rms_and_max(distance[unseen]))
+    return Score(name, *rms_and_max(distance[~unseen]), *rms_and_max(distance[unseen]))
 
 
-def _rms_and_max(distances: np.ndarray) -> tuple[float, float]:
+def rms_and_max(distances: np.ndarray) -> tuple[float, float]:
+    """nan of none."""
     if not len(distances):
         return math.nan, math.nan
     return float(np.sqrt(np.mean(distances**2))), float(distances.max())

@@ -11,7 +11,7 @@ from typing import Any
 from central_controller.estimation.foot_models import FootNoise
 from central_controller.estimation.orientation_ekf import OrientationNoise
 from central_controller.estimation.pendulum_observer import PendulumNoise
-from hil.estimator_lab import chain_bench, cost, orientation_trial, pendulum_trial
+from hil.estimator_lab import chain_bench, cost, hume_foot_trial, orientation_trial, pendulum_trial
 from hil.estimator_lab.consistency import Consistency
 from hil.estimator_lab.foot_trial import Comparison, Score, compare
 
@@ -26,16 +26,22 @@ ORIENTATION = {
     "the foot is taken for flat": (False, 0.0),
     f"foot sensors, ground {1e3 * orientation_trial.SLOPE:g} mrad off level": (True, orientation_trial.SLOPE),
 }
+SHANKS = {
+    "rigid shanks": hume_foot_trial.RIGID,
+    f"shanks of {hume_foot_trial.TUBE:g} N m/rad": hume_foot_trial.TUBE,
+}
 FOOT_OFF = 0.05  # m (Kim 2018 §6.2)
 
 
 @dataclass(frozen=True)
 class Results:
-    """By setting: of the foot filters, of the orientation filter, of the pendulum observer; costs [s] by estimator."""
+    """By setting: of the foot filters on the chain and on Hume, of the orientation filter, of the pendulum observer;
+    costs [s] by estimator."""
 
     seeds: int
     duration: float
     feet: dict[str, Comparison]
+    hume_feet: dict[str, list[Score]]
     orientation: dict[str, orientation_trial.Score]
     pendulum: dict[str, pendulum_trial.Errors]
     velocity_off: float  # m/s, of the pendulum observer, when the foot is FOOT_OFF from where it is thought
@@ -48,6 +54,7 @@ def measure(seeds: int, duration: float) -> Results:
     return Results(
         seeds, duration,
         {name: compare(all_seeds, duration, *setting) for name, setting in SETTINGS.items()},
+        {name: hume_foot_trial.compare(all_seeds, duration, stiffness) for name, stiffness in SHANKS.items()},
         {
             name: orientation_trial.score(all_seeds, duration, OrientationNoise(), *setting)
             for name, setting in ORIENTATION.items()
@@ -67,6 +74,7 @@ def as_json(results: Results) -> dict[str, Any]:
         "seeds": results.seeds,
         "duration_s": results.duration,
         "foot_position": {name: [_plain(score) for score in c.scores] for name, c in results.feet.items()},
+        "foot_position_hume": {name: [_plain(score) for score in scores] for name, scores in results.hume_feet.items()},
         "orientation": {name: _plain(score) for name, score in results.orientation.items()},
         "pendulum": {name: _plain(errors) for name, errors in results.pendulum.items()},
         "pendulum_velocity_off": results.velocity_off,
@@ -95,6 +103,13 @@ def lines(results: Results) -> Iterator[str]:
         yield f"  {'':18} {'rms / max mm':>13} {'rms / max mm':>13} {'':22} {'':22} {'':22} {'µs':>6}"
         for score in comparison.scores:
             yield "  " + _foot_line(score).rstrip()
+    for name, scores in results.hume_feet.items():
+        yield ""
+        yield f"shank's LED from the torso's, Hume steps: {name}"
+        yield f"  {'':18} {'error seen':>13} {'occluded':>13} {'NEES of p':>22}"
+        for score in scores:
+            seen, hidden = _pair(score.rms_seen, score.max_seen), _pair(score.rms_hidden, score.max_hidden)
+            yield f"  {score.name:18} {seen} {hidden} {_consistency(score.foot_nees)}".rstrip()
     yield ""
     yield "orientation, body over a foot that rocks: error rms / max mrad, bias mrad/s, NEES, NIS"
     for name, turn in results.orientation.items():

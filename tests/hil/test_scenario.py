@@ -16,7 +16,7 @@ from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
 
 from bus.config import BusConfig
-from central_controller.planning.config import ReachConfig
+from central_controller.planning.config import OpenLoopConfig, ReachConfig
 from hil.errors import UserError
 from hil.scenario import Scenario, builtin_names, load, notes, parse_value, to_toml, validate
 from robots.terrain import Block
@@ -74,7 +74,7 @@ def tables_of(model: type[BaseModel]) -> st.SearchStrategy[dict[str, Any]]:
     required = {name: s for name, s in fields.items() if model.model_fields[name].is_required()}
     optional = {name: s for name, s in fields.items() if name not in required}
     tables = st.fixed_dictionaries(required, optional=optional)
-    return tables.filter(partial(accepted, model)) if model in (Block, ReachConfig) else tables
+    return tables.filter(partial(accepted, model)) if model in (Block, OpenLoopConfig, ReachConfig) else tables
 
 
 def accepted(model: type[BaseModel], table: dict[str, Any]) -> bool:
