@@ -6,6 +6,7 @@ state that the pendulum observer tells.
 
 from __future__ import annotations
 
+import math
 import struct
 from enum import IntEnum
 from functools import partial
@@ -70,8 +71,11 @@ class Step:
         self._n = n = len(robot.joints)
         self._dt = 1.0 / config.rate
         self._weight = robot.mass * robot.gravity
-        self.telemetry = np.zeros(len(self.fields(robot)))
-        self._torque_at = self.fields(robot).index(f"torque_command.{robot.joint_names[0]}")
+        own = self.fields(robot)
+        self.telemetry = np.zeros(len(own))
+        self._torque_at = own.index(f"torque_command.{robot.joint_names[0]}")
+        self._height_at = own.index("com_reference.z")
+        self.telemetry[own.index("internal_force")] = math.nan  # is not sensed
         self.torque = self.telemetry[self._torque_at : self._torque_at + n]
         self.memory, self.memory_next = np.zeros(4 + n), np.zeros(4 + n)
         self.setpoints = Setpoints(n, Mode.TORQUE, GainSet.STANCE)
@@ -140,6 +144,7 @@ class Step:
             self._reference[0, :] = 0.0
             self._laws[None]()
             self._observe()
+            self.telemetry[self._height_at] = math.nan  # nothing is wanted yet
             return
         if phase is Phase.ON:
             self._advance(now)

@@ -44,9 +44,10 @@ class _Drawing:
         self.end = record["simulated_time"]
 
     def plots(self) -> list[Plot]:
+        sensed = np.isfinite(self.run.controller["internal_force"]).any()
         return [
             self._centre_of_mass(),
-            self._internal_force(),
+            *([self._internal_force()] if sensed or not len(self.run.controller) else []),
             self._torques(),
             self._buses(),
             self._round_trip(),
