@@ -49,7 +49,8 @@ class Display:
         error = system.observer.com_error()
         load = " ".join(f"{100 * share:.0f} %" for share in system.observer.bus_loads())
         speed = simulated / elapsed if elapsed > 0 else math.nan
-        text = f"{speed:4.2f}× real time  CoM {1e3 * error:5.1f} mm  bus {load}"
+        com = f"{1e3 * error:5.1f} mm" if math.isfinite(error) else "–"  # nothing is wanted of it yet
+        text = f"{speed:4.2f}× real time  CoM {com}  bus {load}"
         self._progress.update(self._task, completed=simulated, text=text)
         self._progress.refresh()
 
