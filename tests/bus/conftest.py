@@ -24,7 +24,7 @@ def pump(run: str, channel: str, ready: Event, stop: Event) -> None:
     server = PortServer(channel, run, port=TOOLS)
     ready.set()
     start = time.monotonic_ns()
-    while not stop.is_set():
+    while not stop.wait(100e-6):
         now = time.monotonic_ns() - start
         while wire.next_ns <= now:
             for delivery in wire.advance(wire.next_ns):
@@ -32,7 +32,6 @@ def pump(run: str, channel: str, ready: Event, stop: Event) -> None:
         for frame in server.poll(now):
             if not wire.offer(now, TOOLS, frame):
                 server.refused(frame)
-        time.sleep(100e-6)
     server.close()
 
 

@@ -9,8 +9,10 @@ from __future__ import annotations
 
 import argparse
 import importlib.util
+import os
 import random
 import re
+import select
 import subprocess
 import sys
 import tempfile
@@ -42,7 +44,10 @@ def fuzz(names: list[str], seconds: float) -> list[str]:
                     command, stdin=subprocess.DEVNULL, stdout=output, stderr=subprocess.STDOUT, cwd=_ROOT
                 )
                 running[name] = child, output, time.monotonic() + share + _GRACE_S
-            time.sleep(0.02)
+            ends = [os.pidfd_open(child.pid) for child, *_ in running.values()]
+            select.select(ends, [], [], max(0.0, min(until for *_, until in running.values()) - time.monotonic()))
+            for descriptor in ends:
+                os.close(descriptor)
             for name, (child, output, until) in list(running.items()):
                 hung = time.monotonic() > until
                 if hung:

@@ -9,8 +9,9 @@ import pytest
 
 from central_controller.behaviours.step import State, diagram
 from hil.analysis.steps import touch_downs
-from hil.run import Request, assemble, run
+from hil.run import Request, run
 from hil.scenario import load
+from tests.support.snapshots import goes_on_as_it_went
 
 ROOT = Path(__file__).parent.parent.parent
 
@@ -112,16 +113,7 @@ def test_both_backends_step_alike() -> None:
 
 
 def test_a_step_goes_on_from_a_snapshot_as_it_went() -> None:
-    with assemble(Request(load("balance", ["duration=3s"]), 0, "inline")) as assembly:
-        system = assembly.system
-        system.run_until(1_700_000_000)  # a foot is in the air
-        before = system.snapshot()
-        ends = []
-        for _ in range(2):
-            system.run_until(2_000_000_000)
-            ends.append((system.world.truth().copy(), system.controller.finish()[1].copy()))
-            system.restore(before)
-        assert np.array_equal(ends[0][0], ends[1][0]) and np.array_equal(ends[0][1], ends[1][1], equal_nan=True)
+    goes_on_as_it_went("balance", ["duration=3s"], 1_700_000_000, 2_000_000_000)  # a foot is in the air
 
 
 def test_the_documents_show_the_machine_as_it_is() -> None:

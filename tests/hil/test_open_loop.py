@@ -11,6 +11,7 @@ from hil.cli import main
 from hil.run import Request, assemble, run
 from hil.scenario import load
 from robots import description
+from tests.support.snapshots import goes_on_as_it_went
 
 ROBOT = description.load("hume")
 FEET = ("right_foot", "left_foot")
@@ -98,16 +99,7 @@ def test_both_backends_step_alike() -> None:
 
 
 def test_steps_go_on_from_a_snapshot_as_they_went() -> None:
-    with assemble(Request(load("open-loop-block", list(EARLY)), 0, "inline")) as assembly:
-        system = assembly.system
-        system.run_until(3_000_000_000)  # just before lift-off
-        standing = system.snapshot()
-        ends = []
-        for _ in range(2):
-            system.run_until(3_450_000_000)
-            ends.append((system.world.truth().copy(), system.controller.finish()[1].copy()))
-            system.restore(standing)
-        assert np.array_equal(ends[0][0], ends[1][0]) and np.array_equal(ends[0][1], ends[1][1], equal_nan=True)
+    goes_on_as_it_went("open-loop-block", EARLY, 3_000_000_000, 3_450_000_000)  # from just before lift-off
 
 
 def test_a_leg_is_held_from_its_motors_until_its_foot_carries() -> None:

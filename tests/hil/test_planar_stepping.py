@@ -8,8 +8,9 @@ import pytest
 from central_controller.behaviours.step import State
 from hil.analysis.stepping import touch_downs
 from hil.record.signals import Signals
-from hil.run import Request, assemble, run
+from hil.run import Request, run
 from hil.scenario import load
+from tests.support.snapshots import goes_on_as_it_went
 
 
 def stepped(name: str, *settings: str, backend: str = "inline") -> Any:
@@ -125,16 +126,7 @@ def test_both_backends_walk_alike() -> None:
 
 
 def test_a_walk_goes_on_from_a_snapshot_as_it_went() -> None:
-    with assemble(Request(load("walk-forward", ["duration=3s"]), 0, "inline")) as assembly:
-        system = assembly.system
-        system.run_until(400_000_000)  # abduction is not held yet
-        hanging = system.snapshot()
-        ends = []
-        for _ in range(2):
-            system.run_until(1_500_000_000)
-            ends.append((system.world.truth().copy(), system.controller.finish()[1].copy()))
-            system.restore(hanging)
-        assert np.array_equal(ends[0][0], ends[1][0]) and np.array_equal(ends[0][1], ends[1][1], equal_nan=True)
+    goes_on_as_it_went("walk-forward", ["duration=3s"], 400_000_000, 1_500_000_000)  # abduction is not held yet
 
 
 def test_abduction_is_held_by_its_drives(forward: Any) -> None:

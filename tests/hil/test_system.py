@@ -18,6 +18,7 @@ from mcap_ros2.decoder import DecoderFactory
 
 from hil.run import Request, assemble, run
 from hil.scenario import load
+from tests.support.pidfds import all_end
 
 # noise, jitter, loss and bit errors on, and long enough for the drives to be enabled and the hoist to let go
 
@@ -122,14 +123,7 @@ def start(tmp_path: Path) -> tuple[subprocess.Popen, list[int]]:
 
 def gone(pids: list[int]) -> bool:
     """Whether none of the processes runs any more, within a second."""
-    waiter = [sys.executable, "-c", "import time; time.sleep(0.05)"]
-    for _ in range(10):
-        alive = [p for p in pids if Path(f"/proc/{p}/stat").exists()
-                 and Path(f"/proc/{p}/stat").read_text().rpartition(")")[2].split()[0] != "Z"]  # fmt: skip
-        if not alive:
-            return True
-        subprocess.run(waiter, check=True)
-    return False
+    return all_end(pids, 1.0)
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
